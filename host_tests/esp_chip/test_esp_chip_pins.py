@@ -30,10 +30,13 @@ def new_chip(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 def made(enable: Any = None, **changes: Any) -> "tuple[Any, list[str]]":
-    """Return a port, and the list of its calls to the listener."""
+    """Return the port of BOARD with these changes, and the list of its calls to the listener.
+
+    enable: switches the motors' power, if an output of the engine does.
+    """
     board = ModuleType("board")
     vars(board).update({**BOARD, **changes})
-    for pin in board.NO_PULL_UP:
+    for pin in board.NO_PULL_UP:  # a resistor on the board pulls it up
         Pin(pin, Pin.IN).drive(1)
     port = gpio_esp.EspPort(board, enable)
     heard: list[str] = []
@@ -47,7 +50,7 @@ def made(enable: Any = None, **changes: Any) -> "tuple[Any, list[str]]":
 def test_inputs_pulled_to_ground_are_closed_and_reported() -> None:
     port, heard = made()
     assert (port.limits(), port.controls(), port.probe()) == (0, 0, False)
-    for pin in (5, 35, 39):
+    for pin in (5, 35, 39):  # limit of Y, third control input, probe
         Pin(pin).drive(0)
     assert (port.limits(), port.controls(), port.probe()) == (2, 4, True)
     assert heard == ["limits", "controls"]
@@ -57,7 +60,7 @@ def test_bouncing_button_is_reported_once() -> None:
     _, heard = made(CONTROL_DEBOUNCE_MS=20)
     for level in (0, 1, 0, 1, 0):
         Pin(4).drive(level)
-    clock.advance(clock.us + 100_000)
+    clock.advance(clock.us + 100_000)  # more than the time of debouncing
     assert heard == ["controls"]
     Pin(4).drive(1)
     assert heard == ["controls", "controls"]
@@ -66,7 +69,7 @@ def test_bouncing_button_is_reported_once() -> None:
 def test_probe_is_reported_once() -> None:
     port, _ = made()
     contacts: list[bool] = []
-    port.watch_probe(lambda: contacts.append(True), True)
+    port.watch_probe(lambda: contacts.append(True), True)  # True: until it closes
     for level in (0, 1, 0):
         Pin(39).drive(level)
     assert contacts == [True]
@@ -89,15 +92,16 @@ def test_enable_may_be_an_output_of_the_engine() -> None:
 def test_safe_switches_all_tool_outputs_off() -> None:
     port, _ = made(MIST_PIN=21, SPINDLE_ON=19)
     port.spindle(True, 1000)
-    port.coolant(3)
+    port.coolant(3)  # flood and mist
     assert [Pin(pin).level for pin in (19, 21, 22)] == [1, 1, 1]
-    assert Pin(23).log[-1][1] == 65535
+    assert Pin(23).log[-1][1] == 65535  # the last duty of the PWM
     port.safe()
     assert [Pin(pin).level for pin in (19, 21, 22)] == [0, 0, 0]
     assert Pin(23).log[-1][1] == 0
 
 
 def test_extra_has_pins() -> None:
+    """Outputs 32 and 33 and inputs 25 and 26, which drive() and sense() address by masks."""
     port, _ = made()
     port.add_pins((32, 33), (25, 26))
     changes: list[bool] = []
@@ -109,6 +113,7 @@ def test_extra_has_pins() -> None:
 
 
 def test_button_asks_for_the_prompt() -> None:
+    """held(): whether the button at the board's REPL_PIN, if it has one, is pressed."""
     port, _ = made()
     assert not port.held(None)
     assert not port.held(14)
@@ -117,14 +122,15 @@ def test_button_asks_for_the_prompt() -> None:
 
 
 def test_watchdog_is_stopped_at_the_prompt() -> None:
+    """An ESP32's watchdog cannot be stopped: it gets a day or more instead."""
     port, _ = made()
-    feed = port.watch(5000)
-    clock.work(4_000_000)
+    feed = port.watch(5000)  # ms
+    clock.work(4_000_000)  # us
     feed()
     clock.work(6_000_000)
     with pytest.raises(RuntimeError, match="started anew"):
         feed()
-    esp_machine.WDT.fed = clock.us
+    esp_machine.WDT.fed = clock.us  # as after a restart
     assert port.watch(0) is None
     assert esp_machine.WDT.timeout_ms >= 86_400_000
 
@@ -140,7 +146,7 @@ def fill_the_scheduler() -> None:
 
 
 def deaf(change: Any) -> None:
-    """Make a change while the scheduler is full, so that no callback runs."""
+    """Make a change while the scheduler is full, so that the callback of its edge is lost."""
     fill_the_scheduler()
     change()
     clock.in_c_code = False
@@ -150,6 +156,7 @@ def deaf(change: Any) -> None:
 
 @pytest.mark.parametrize(("pin", "who"), [(5, "limits"), (4, "controls"), (35, "controls")])
 def test_lost_edge_is_found_at_the_next_poll(pin: int, who: str) -> None:
+    """Once for each change, although a closed input is polled again and again."""
     port, heard = made()
     deaf(lambda: Pin(pin).drive(0))
     assert heard == []
@@ -165,6 +172,7 @@ def test_lost_edge_is_found_at_the_next_poll(pin: int, who: str) -> None:
 
 
 def test_handled_edge_is_not_found_again() -> None:
+    """Polling reports nothing that an interrupt has reported already."""
     port, heard = made()
     Pin(5).drive(0)
     Pin(4).drive(0)
@@ -175,6 +183,7 @@ def test_handled_edge_is_not_found_again() -> None:
 
 
 def test_disabled_limits_are_not_found_by_polling() -> None:
+    """Nor after they are enabled again: only a change counts."""
     port, heard = made()
     port.enable_limits(False)
     Pin(5).drive(0)
@@ -185,6 +194,7 @@ def test_disabled_limits_are_not_found_by_polling() -> None:
 
 
 def test_lost_debounced_limit_counts_after_it_has_settled() -> None:
+    """Polled every millisecond: reported after the third."""
     port, heard = made(LIMIT_DEBOUNCE_MS=3)
     deaf(lambda: Pin(5).drive(0))
     for _ in range(2):
@@ -198,6 +208,7 @@ def test_lost_debounced_limit_counts_after_it_has_settled() -> None:
 
 
 def test_storm_on_one_limit_does_not_delay_another_that_stays_closed() -> None:
+    """Pin 13 bounces for 6 ms, every millisecond; pin 5 is reported within this time."""
     port, heard = made(LIMIT_DEBOUNCE_MS=3)
     Pin(5).drive(0)
     for level in (0, 1) * 3:
@@ -210,7 +221,7 @@ def test_storm_on_one_limit_does_not_delay_another_that_stays_closed() -> None:
 def test_lost_contact_of_the_probe_is_found() -> None:
     port, _ = made()
     contacts: list[bool] = []
-    port.watch_probe(lambda: contacts.append(True), True)
+    port.watch_probe(lambda: contacts.append(True), True)  # True: until it closes
     deaf(lambda: Pin(39).drive(0))
     assert contacts == []
     port.poll_inputs()
@@ -221,13 +232,14 @@ def test_lost_contact_of_the_probe_is_found() -> None:
 def test_lost_emergency_stop_is_found() -> None:
     Pin(21, Pin.IN).drive(0)
     port, heard = made(ESTOP=21)
-    deaf(lambda: Pin(21).drive(1))
+    deaf(lambda: Pin(21).drive(1))  # its contact opens when pressed
     assert heard == []
     port.poll_inputs()
     assert heard == ["controls"]
 
 
 def test_lost_input_of_an_extra_is_found() -> None:
+    """Input 26 of an extra that has outputs 32 and 33; polling reports it once."""
     port, _ = made()
     port.add_pins((32, 33), (25, 26))
     changes: list[bool] = []
