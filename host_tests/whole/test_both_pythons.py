@@ -27,7 +27,10 @@ VECTORS = HERE / "vectors.py"
 
 
 def cpython(*arguments: object) -> str:
-    """Return the vectors' output here, in a fresh process as under MicroPython."""
+    """Return the output of vectors.py under CPython, in a fresh process as under MicroPython.
+
+    arguments: what vectors.main() reads from the command line.
+    """
     paths = [str(STANDINS), *map(str, PATHS)]
     start = f"import sys; sys.path[:0] = {paths}; sys.argv[1:] = {[*map(str, arguments)]}; "
     command = [sys.executable, "-c", start + "import vectors; vectors.main()"]
@@ -110,11 +113,18 @@ def pythons() -> "Iterator[list[Any]]":
 def test_both_pythons_give_the_same_answers_and_motion(
     pythons: "list[Any]", lines: "list[str]", board: str
 ) -> None:
-    sent = [line if line in ("?", "~") else line + "\n" for line in lines]
-    steps = [{"send": text, "wait": "ms 60", "t_ms": 60} for text in (*sent, *_AT_THE_END)]
+    """Replay the same lines under both Pythons and compare the results: answers, outputs, steps.
+
+    _AT_THE_END then resets the machine, and asks for settings, offsets, modes and startup lines.
+    """
+    texts = [line if line in ("?", "~") else line + "\n" for line in lines]
+    # Every text is followed by a wait of 60 ms of the machine's time, whatever the answer.
+    steps = [{"send": text, "wait": "ms 60", "t_ms": 60} for text in (*texts, *_AT_THE_END)]
     case = {"name": "", "init": "defaults", "setup": [], "steps": steps}
-    here, there = (python.replay(board, case) for python in pythons)
-    assert "error" not in here
-    for text, one, other in zip((*sent, *_AT_THE_END), here["steps"], there["steps"], strict=True):
-        assert one == other, text
-    assert here == there
+    on_cpython, on_micropython = (python.replay(board, case) for python in pythons)
+    assert "error" not in on_cpython
+    for text, cpython_step, micropython_step in zip(
+        (*texts, *_AT_THE_END), on_cpython["steps"], on_micropython["steps"], strict=True
+    ):
+        assert cpython_step == micropython_step, text
+    assert on_cpython == on_micropython

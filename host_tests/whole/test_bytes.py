@@ -21,7 +21,7 @@ pytestmark = pytest.mark.sampled(2)
 
 _ROOT = Path(__file__).parents[2]
 _SUPPORT = _ROOT / "host_tests" / "support"
-_EVERY = os.environ.get("UGRBL_TORTURE") is not None
+_EVERY = os.environ.get("UGRBL_TORTURE") is not None  # every byte, not samples
 
 # Module search path of the simulator under MicroPython.
 PATHS = [_SUPPORT, FIRMWARE, _ROOT, _ROOT / "tools"]
@@ -31,13 +31,16 @@ PATHS = [_SUPPORT, FIRMWARE, _ROOT, _ROOT / "tools"]
 def test_any_byte_in_any_place_is_answered(
     board: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    complete()
+    """Send lines with foreign bytes to a simulated board; talk() checks each line's answer."""
+    complete()  # add the functions of MicroPython to `time`
     monkeypatch.chdir(tmp_path)
     folder = str(tmp_path / "board")
-    furnish(folder)
+    furnish(folder)  # job files, custom modules and texts for this board
     # As on a board: a simulator made by another test has replaced this function.
     monkeypatch.setattr(dialect_hal, "texts", lambda: open(f"{folder}/{dialect_hal.FILE}", "rb"))
-    assert talk(board, folder, sum(board.encode()), None if _EVERY else 2) > 150
+    seed = sum(board.encode())
+    lines_sent = talk(board, folder, seed, how_many=None if _EVERY else 2)
+    assert lines_sent > 150
 
 
 @needs_micropython
@@ -54,8 +57,16 @@ def test_text_keeps_printable_characters_and_replaces_all_others() -> None:
 
 
 def test_files_that_are_not_jobs_are_left_alone(tmp_path: Path) -> None:
-    strange = [b"\xff~NEW", b"\xe9.NC", b"small~NEW", b"~NEW", b"\x80~WHOLE", b"two words~NEW"]
-    for name in strange:
+    """Files with other names stay; rests of interrupted uploads of ours (NAME~NEW) are removed."""
+    foreign_names = [
+        b"\xff~NEW",
+        b"\xe9.NC",
+        b"small~NEW",
+        b"~NEW",
+        b"\x80~WHOLE",
+        b"two words~NEW",
+    ]
+    for name in foreign_names:
         Path(os.fsdecode(os.path.join(os.fsencode(tmp_path), name))).write_bytes(b"G21\n")
     (tmp_path / "CUT.NC~NEW").write_bytes(b"G2")
     files = JobFiles(str(tmp_path))
@@ -64,5 +75,7 @@ def test_files_that_are_not_jobs_are_left_alone(tmp_path: Path) -> None:
     file = files.begin("A.NC")
     files.append(file, b"G20\n")
     files.drop("A.NC", file)
-    left = set(os.listdir(os.fsencode(tmp_path)))
-    assert left == set(strange) - {b"small~NEW"}, "this name is one of ours, in any case"
+    names_after = set(os.listdir(os.fsencode(tmp_path)))
+    assert names_after == set(foreign_names) - {b"small~NEW"}, (
+        "this name is one of ours, in any case"
+    )

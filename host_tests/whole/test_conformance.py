@@ -63,8 +63,10 @@ _DIFFER = {
 
 
 def summary(results: Results) -> str:
-    """Return a short description of the failures."""
-    lines = [f"{name}: {good} of {all_}" for name, (good, all_) in results.categories().items()]
+    """Return the share of passed cases by category, and the first error of 20 failed cases."""
+    lines = [
+        f"{name}: {passed} of {total}" for name, (passed, total) in results.categories().items()
+    ]
     for outcome in results.failures()[:20]:
         lines.append(f"{outcome.category}: {outcome.name}: {outcome.wrong[0]}")
     return "\n".join(lines)
@@ -75,7 +77,8 @@ def parts(folder: Path) -> "list[Any]":
     each."""
     count = _PARTS.get(folder.name, 1)
     return [
-        pytest.param(folder, k, count, id=f"{folder.name} {k + 1}/{count}") for k in range(count)
+        pytest.param(folder, part, count, id=f"{folder.name} {part + 1}/{count}")
+        for part in range(count)
     ]
 
 
@@ -84,14 +87,18 @@ def parts(folder: Path) -> "list[Any]":
     [row for folder in (*FOLDERS, _DAYS) for row in rings.sample(parts(folder), 1)],
 )
 def test_conversations_are_answered_as_recorded(folder: Path, part: int, count: int) -> None:
+    """Replay every count-th case of a folder, from case `part` on; samples in the first ring.
+
+    Known differences of the recorded days (_DRIFT: category to names of cases) are no failures.
+    """
     if not folder.is_dir():
         pytest.skip(f"{folder} is not there")
     results = run_folder(
         folder, choose=lambda cases: rings.sample(cases[part::count], 30), processes=PROCESSES
     )
-    drift = _DRIFT if folder == _DAYS else {}
-    wrong = [out for out in results.failures() if out.name not in drift.get(out.category, ())]
-    assert results.required() and not wrong, summary(results)
+    known = _DRIFT if folder == _DAYS else {}
+    failed = [out for out in results.failures() if out.name not in known.get(out.category, ())]
+    assert results.required() and not failed, summary(results)
 
 
 @pytest.mark.sampled(2)
@@ -106,6 +113,10 @@ def test_clusters_of_faults_are_answered_as_recorded(file: str) -> None:
 
 
 def _has(of_step: "Callable[[Any], object]") -> "Callable[[Any], bool]":
+    """Return a test of cases: whether a step in which the machine stands fits of_step().
+
+    Steps whose output is only informative ("info") do not count.
+    """
     return lambda case: any(
         of_step(step)
         for step in case.get("steps", ())
@@ -133,15 +144,19 @@ _FAULTS: "dict[str, Callable[[Any], bool]]" = {
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("fault", _FAULTS)
 def test_a_machine_with_a_fault_fails(fault: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In spite of any tolerance of a recording."""
+    """Replay on a machine that has the fault: every case that shows it must fail.
+
+    So no tolerance of the judge hides it. _FAULTS: which cases show a fault.
+    """
     folder = _SHARED / "conformance-2"
     if not folder.is_dir():
         pytest.skip(f"{folder} is not there")
     monkeypatch.setenv("UGRBL_FAULT", fault)
 
     def choose(rows: list[Any]) -> list[Any]:
-        shown = rings.sample([row for row in rows if _FAULTS[fault](row[1])], 4, 4)
-        return shown[:: max(1, len(shown) // 20)]  # without answers each case waits long
+        # row[1] is the case; 4 of those that show the fault are enough.
+        showing = rings.sample([row for row in rows if _FAULTS[fault](row[1])], 4, 4)
+        return showing[:: max(1, len(showing) // 20)]  # without answers each case waits long
 
     folder = folder / "motion" if fault == "takes_three_times" else folder
     program = _HERE / "support" / "wrong_machine.py"
@@ -161,6 +176,8 @@ _ON, _OFF = {"enable_pin": 0}, {"enable_pin": 1}
 @pytest.mark.parametrize(
     ("sent", "recorded", "observed", "wrong", "used"),
     [
+        # "": the default $1=25: motors are off 25 ms after motion, at the latest in step 1.
+        # recorded, observed: changes of the enable pin in each of three steps; {}: none.
         ("", [_ON, _OFF, {}], [_ON, _OFF, {}], [], []),
         ("", [{}, {}, {}], [_ON, _OFF, {}], [], ["idle delay"]),
         ("", [{}, {}, {}], [_ON, {}, {}], [f"step {n}: motors" for n in range(3)], []),
@@ -182,24 +199,30 @@ def test_motors_are_on_as_recorded(
     wrong: list[str],
     used: list[str],
 ) -> None:
+    """Judge a recorded enable pin against an observed one, in a move and two waits of 100 ms.
+
+    sent: lines sent before; wrong: the expected errors; used: the known differences that excuse
+    others, as "idle delay" does a change one step later than Grbl's. "unpowered" is no line: the
+    motors had no power in the move.
+    """
     alarm = ["ALARM:1"] if "$21" in sent else []
     steps: list[Any] = [_STOPS, {**_WAITS, "expect": alarm}, _WAITS]
-    made = {
+    recording = {
         "name": "a case",
         "setup": [[line, ["ok"]] for line in sent.split()],
         "steps": [{**step, "out": out} for step, out in zip(steps, recorded, strict=True)],
     }
-    power = [sent != "unpowered", True, True]
-    got = {
+    powered = [sent != "unpowered", True, True]
+    replayed = {
         "steps": [
             {"out": out, "unpowered": not on, "moving": False}
-            for out, on in zip(observed, power, strict=True)
+            for out, on in zip(observed, powered, strict=True)
         ],
-        "setup": [{"out": {}} for _ in made["setup"]],
+        "setup": [{"out": {}} for _ in recording["setup"]],
     }
-    names: list[str] = []
-    assert judge_motors(made, got, names) == wrong
-    assert names == used
+    differences: list[str] = []
+    assert judge_motors(recording, replayed, differences) == wrong
+    assert differences == used
 
 
 @pytest.mark.parametrize(
@@ -215,14 +238,21 @@ def test_motors_are_on_as_recorded(
 def test_motors_stay_on_during_motion_slower_than_grbls(
     line: str, moving: "tuple[bool, ...]", motors_off: "int | None", wrong: list[int]
 ) -> None:
-    made = {"setup": [], "steps": [{**_WAITS, "send": line}, _WAITS, _WAITS]}
-    got: list[Any] = [{"out": {}, "unpowered": False, "moving": moves} for moves in moving]
-    got[0]["out"] = _ON
+    """Grbl cannot move this slowly and ends early: here, motors that stay on longer are excused.
+
+    moving: whether the machine moves at the end of each of three steps; motors_off: the step in
+    which they are switched off; wrong: the steps with an expected error.
+    """
+    recording = {"setup": [], "steps": [{**_WAITS, "send": line}, _WAITS, _WAITS]}
+    replayed: list[Any] = [{"out": {}, "unpowered": False, "moving": moves} for moves in moving]
+    replayed[0]["out"] = _ON
     if motors_off:
-        got[motors_off]["out"] = _OFF
-    names: list[str] = []
-    assert judge_motors(made, {"steps": got}, names) == [f"step {n}: motors" for n in wrong]
-    assert ("slow motion" in names) == ("F7" in line or "G93" in line)
+        replayed[motors_off]["out"] = _OFF
+    differences: list[str] = []
+    assert judge_motors(recording, {"steps": replayed}, differences) == [
+        f"step {n}: motors" for n in wrong
+    ]
+    assert ("slow motion" in differences) == ("F7" in line or "G93" in line)
 
 
 def test_motors_on_before_the_slow_line_are_a_failure() -> None:
@@ -250,7 +280,8 @@ _OLD = case("Grbl 0.9j ['$' for help]")
 
 
 def test_the_dialect_follows_the_welcome_not_the_file_name(tmp_path: Path) -> None:
-    found = boards(
+    """The board of a recording is chosen by its welcome: older= and the others are file names."""
+    board_of_file = boards(
         tmp_path,
         mine=_OLD,
         older=case("Grbl 0.9i ['$' for help]"),
@@ -260,7 +291,7 @@ def test_the_dialect_follows_the_welcome_not_the_file_name(tmp_path: Path) -> No
         punch_09=case("Grbl 0.9i ['$' for help]"),
         plain=case("ok"),
     )
-    assert found == {
+    assert board_of_file == {
         "mine": "sim_09j",
         "older": "sim_09i",
         "grbl_0": "sim_09j",
@@ -282,6 +313,7 @@ def test_an_unknown_or_mixed_dialect_is_refused(tmp_path: Path, text: str) -> No
 
 
 def test_recordings_of_0_9_under_other_names_conform(tmp_path: Path) -> None:
+    """A file without 0.9 in its name is replayed on the 0.9 dialect: all of its 20 cases pass."""
     source = _SHARED / "conformance-0.9" / "grbl_0.9j_20150717.json"
     if not source.exists():
         pytest.skip(f"{source} is not there")
@@ -291,7 +323,7 @@ def test_recordings_of_0_9_under_other_names_conform(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "why"),
+    ("options", "why"),
     [
         (["--port", "/dev/nowhere"], "/dev/nowhere"),
         (["--port", "FOLDER/a.json"], "a.json"),
@@ -300,10 +332,11 @@ def test_recordings_of_0_9_under_other_names_conform(tmp_path: Path) -> None:
         (["--json", "FOLDER"], "is a folder"),
     ],
 )
-def test_an_impossible_replay_is_explained(tmp_path: Path, words: list[str], why: str) -> None:
+def test_an_impossible_replay_is_explained(tmp_path: Path, options: list[str], why: str) -> None:
+    """`ugrbl conformance` ends with an error message that names the cause, without a traceback."""
     boards(tmp_path, a=case("ok"))
-    words = [word.replace("FOLDER", str(tmp_path)) for word in words]
-    done = CliRunner().invoke(app, ["conformance", str(tmp_path), *words])
+    options = [word.replace("FOLDER", str(tmp_path)) for word in options]
+    done = CliRunner().invoke(app, ["conformance", str(tmp_path), *options])
     assert done.exit_code == 1 and isinstance(done.exception, SystemExit)
     assert why in done.output.replace("\n", "")
 

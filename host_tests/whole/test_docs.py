@@ -63,20 +63,23 @@ def test_every_table_has_exactly_one_place():
 
 
 def test_every_code_is_in_the_reference():
+    """docs/reference.md lists exactly the codes that the firmware accepts: numbers up to 255."""
     from extras.custom_codes import is_grbls
 
-    found = words.g_words() + words.m_words()
-    numbers = {(word[0], int(word[1:].partition(".")[0])) for word in found}
+    documented = words.g_words() + words.m_words()  # as the reference's tables list them
+    numbers = {(word[0], int(word[1:].partition(".")[0])) for word in documented}
+    # is_grbls() wants ten times the number: 382 is G38.2.
     assert numbers == {
         (letter, number)
         for letter in "GM"
         for number in range(256)
         if any(is_grbls(letter, 10 * number + tenth) for tenth in range(10))
     }
-    assert missing(found, reference()) == []
+    assert missing(documented, reference()) == []
 
 
 def test_every_command_and_byte_is_in_the_reference():
+    """The letters of $ commands as `$G`, and the bytes of real-time commands as `0x85`."""
     from base import state
     from control import overrides, realtime
 
@@ -88,6 +91,7 @@ def test_every_command_and_byte_is_in_the_reference():
 
 
 def test_every_setting_has_a_comment_and_is_in_the_reference():
+    """The comments are those of tools/docs, in the order of the firmware's settings table."""
     from base import settings
 
     numbers = [row[0] for row in settings._TABLE]
@@ -134,6 +138,7 @@ def test_the_contents_link_every_page_once():
 
 
 def anchors(page):
+    """Return the anchors of a page's headings, as GitHub makes them from their text."""
     text = _FENCE.sub("", text_of(page))
     return {
         re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
@@ -166,19 +171,20 @@ def test_every_named_file_exists(page):
 
 
 def known_commands():
-    """Return commands (the words after `ugrbl`) with their options."""
+    """Return a dict: each command (the words after `ugrbl`), to the set of its options."""
     import typer
 
-    found = {}
+    options_of = {}
 
     def collect(command, name):
-        found[name] = {option for one in command.params for option in (*one.opts, "--help")}
-        found[name] |= {option for one in command.params for option in one.secondary_opts}
+        options_of[name] = {option for one in command.params for option in (*one.opts, "--help")}
+        # Secondary options are those that switch a flag off: --no-color.
+        options_of[name] |= {option for one in command.params for option in one.secondary_opts}
         for sub, below in getattr(command, "commands", {}).items():
             collect(below, f"{name} {sub}".strip())
 
     collect(typer.main.get_command(app), "")
-    return found
+    return options_of
 
 
 _COMMANDS = known_commands()
@@ -186,15 +192,18 @@ _TARGETS = set(re.findall(r"^([a-z-]+):", text_of(_ROOT / "Makefile"), re.MULTIL
 
 
 def wrong_words(line):
-    """Yield the commands and options in a line of code that do not exist."""
-    for tail in re.findall(r"(?:^|\s|/)ugrbl +([a-z][^|·]*)", line):
-        parts = tail.split()
+    """Yield the commands and options in a line of code that do not exist.
+
+    A command is one or two words after `ugrbl`, like `bench` or `jobs list`; or a make target.
+    """
+    for after_ugrbl in re.findall(r"(?:^|\s|/)ugrbl +([a-z][^|·]*)", line):
+        parts = after_ugrbl.split()
         name = " ".join(parts[:2]) if " ".join(parts[:2]) in _COMMANDS else parts[0]
         if name not in _COMMANDS:
             yield f"ugrbl {name}"
             continue
         options = [part.partition("=")[0].strip("[]") for part in parts if part.startswith("--")]
-        yield from (f"{name} {one}" for one in options if one not in _COMMANDS[name])
+        yield from (f"{name} {option}" for option in options if option not in _COMMANDS[name])
     for target in re.findall(r"^make ([a-z-]+)", line):
         if target not in _TARGETS:
             yield f"make {target}"
@@ -213,6 +222,8 @@ def test_every_command_exists(page):
 
 
 def test_every_command_has_a_section_in_command_line():
+    """The page's table and its sections are the same commands; a section may describe two ("a
+    and b"). Subcommands, like `list` in `jobs list`, are named in their command's section."""
     text = text_of(_ROOT / "docs" / "command-line.md")
     table = re.findall(r"`ugrbl ([a-z0-9-]+)`\]\(#", text)
     sections = dict(re.findall(r"^## (.+)\n((?:(?!## ).*\n)*)", text, re.MULTILINE))
@@ -220,12 +231,15 @@ def test_every_command_has_a_section_in_command_line():
     assert (
         sorted(table) == sorted(bodies) == sorted({name.split()[0] for name in _COMMANDS if name})
     )
-    below = [name.split() for name in _COMMANDS if " " in name]
-    assert below and all(re.search(rf"`{sub}\b|{name} {sub}", bodies[name]) for name, sub in below)
+    subcommands = [name.split() for name in _COMMANDS if " " in name]
+    assert subcommands and all(
+        re.search(rf"`{sub}\b|{name} {sub}", bodies[name]) for name, sub in subcommands
+    )
 
 
 @pytest.mark.parametrize("name", ["test", "release"])
 def test_commands_of_the_workflows_exist(name):
+    """GitHub's workflows call `ugrbl` and `make` only with commands that exist."""
     text = text_of(_ROOT / ".github" / "workflows" / f"{name}.yml")
     lines = [line.strip().removeprefix("- ").removeprefix("run: ") for line in text.splitlines()]
     called = [line for line in lines if re.match(r"(ugrbl|make|\.venv/bin/ugrbl) ", line)]
@@ -237,6 +251,7 @@ def test_commands_of_the_workflows_exist(name):
 
 
 def quotes(heading):
+    """Return the messages quoted in a section's table of docs/troubleshooting.md, first column."""
     section = re.search(
         rf"^## {heading}$(.*?)(^## |\Z)",
         text_of(_ROOT / "docs" / "troubleshooting.md"),
@@ -262,13 +277,12 @@ def said_in(*folders):
 @pytest.mark.thorough
 @pytest.mark.parametrize("heading", ["Deploying", "What the doctor says"])
 def test_quoted_messages_exist_in_the_tools(heading):
-    found = quotes(heading)
-    assert len(found) >= 8
+    """Each part of a quoted message between "…" must be in some text of the program."""
+    quoted = quotes(heading)
+    assert len(quoted) >= 8
     texts = said_in("tools", "firmware")
-    pieces = [
-        piece.strip() for quote in found for piece in quote.split("…") if piece.strip(" .:,")
-    ]
-    assert [piece for piece in pieces if not any(piece in text for text in texts)] == []
+    parts = [part.strip() for quote in quoted for part in quote.split("…") if part.strip(" .:,")]
+    assert [part for part in parts if not any(part in text for text in texts)] == []
 
 
 # Names
@@ -297,15 +311,17 @@ def attributes(tree):
 
 
 def module_path(name):
-    """Return a module's path from its name, `minifloat`, or with its folder, `pio.engine`."""
-    inside = name.replace(".", "/") + ".py"
-    found = [
-        path for path in (_FIRMWARE / inside, *_FIRMWARE.glob(f"*/**/{inside}")) if path.exists()
-    ]
-    return found[0] if len(found) == 1 else None
+    """Return a module's path from its name, `minifloat`, or with its folder, `pio.engine`.
+
+    None if there is no such module, or more than one.
+    """
+    file = name.replace(".", "/") + ".py"
+    paths = [path for path in (_FIRMWARE / file, *_FIRMWARE.glob(f"*/**/{file}")) if path.exists()]
+    return paths[0] if len(paths) == 1 else None
 
 
 def exists(name):
+    """Return whether the firmware has this name: module, with or without folder, and member."""
     parts = name.split(".")
     for count in range(len(parts) - 1, 0, -1):
         path = module_path(".".join(parts[:count]))
@@ -328,6 +344,7 @@ _STATIONS |= {"plan_kernel", "segment_kernel"}
 
 
 def test_names_are_looked_up_in_the_firmware():
+    """exists(), which checks the names in the documents, finds members, and misses others."""
     assert exists("state.State.pending")
     assert exists("segment_kernel.fill")
     assert exists("pio.engine.PioEngine.stop")
@@ -378,10 +395,10 @@ def reachable(arrows):
     """Return all pairs connected by a chain of arrows."""
     pairs = set(arrows)
     while True:
-        more = {(a, d) for a, b in pairs for c, d in pairs if b == c} - pairs
-        if not more:
+        indirect = {(a, d) for a, b in pairs for c, d in pairs if b == c} - pairs
+        if not indirect:
             return pairs
-        pairs |= more
+        pairs |= indirect
 
 
 def test_the_drawn_graph_matches_the_imports():
@@ -436,11 +453,13 @@ def test_the_picture_of_a_ramp_is_up_to_date(tmp_path):
     fresh = tmp_path / ramp.NAME
     ramp.draw(fresh)
     assert pictures.same(fresh, pictures.FOLDER / ramp.NAME), "make pictures"
-    largest = {}
+    largest_jump = {}
     for name, times in (("Grbl", ramp.grbl_ms()), ("ours", ramp.our_ms())):
+        # times: of the steps, in ms. speeds() returns (times, speeds).
         rates = ramp.speeds([ms for ms in times if ms <= ramp.grbl_ms()[-1]])[1]
-        largest[name] = max(abs(b - a) for a, b in pairwise(rates[8:]))
-    assert largest["ours"] < largest["Grbl"] / 3
+        # The largest jump between two speeds, without the coarse first eight of the start.
+        largest_jump[name] = max(abs(b - a) for a, b in pairwise(rates[8:]))
+    assert largest_jump["ours"] < largest_jump["Grbl"] / 3
 
 
 def test_there_are_no_other_pictures():
@@ -472,7 +491,10 @@ _TAKEN = re.compile("ok|error", re.IGNORECASE)
 
 
 def strings(tree):
-    """Yield every text in a module except docstrings and the answers themselves."""
+    """Yield every text in a module except docstrings and the answers themselves.
+
+    The answers are the values of the constants named in _ANSWERS.
+    """
     hidden = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
@@ -509,7 +531,10 @@ def sent_texts(module):
 
 
 def test_no_message_contains_an_answer():
-    """A sender may look for `ok` or `error` anywhere in a line."""
+    """A sender may look for `ok` or `error` anywhere in a line.
+
+    The two texts at first show that sent_texts() does find messages and reports.
+    """
     modules = [path.relative_to(_FIRMWARE).as_posix() for path in _FIRMWARE.rglob("*.py")]
     texts = [text for module in modules for text in sent_texts(module)]
     assert "Pgm End" in texts

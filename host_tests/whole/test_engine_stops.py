@@ -1,4 +1,12 @@
-"""How engines stop, rest and fail, and how the ESP32's handle slow hardware."""
+"""How engines stop, rest and fail, and how the ESP32's handle slow hardware.
+
+make(engine, move) returns a bench with an engine (class Made in test_engines) and planned motion
+that is not started yet. made.steps: steps at the pins as (us, axis, sign); made.places(): their
+sums; made.position(): the engine's own count. made.run(ms) runs it, until it is idle if no time is
+given; made.us is the length of a tick of engine.now. engine.real: the firmware's engine within
+the bench. clock.work(us): the CPU is busy, and no timer is served. "diagonal" ends at the steps
+[1500, 1075, -425]; "fast", there and back, at 0.
+"""
 
 import random
 import sys
@@ -17,24 +25,25 @@ pytestmark = pytest.mark.sampled(2)
 @pytest.mark.parametrize("move", ["diagonal", "one step", "fast"])
 @pytest.mark.parametrize("engine", WHOLE)
 def test_rest_is_reported_once_and_after_the_last_power(engine: str, move: str) -> None:
+    """The engine calls attach()'s third function once, when motion has ended."""
     made = make(engine, move)
-    told: list[int] = []
-    made.engine.attach(made.bench.segments.next, made.powers.append, lambda: told.append(1))
+    rests: list[int] = []
+    made.engine.attach(made.bench.segments.next, made.powers.append, lambda: rests.append(1))
     made.engine.start()
     while not made.engine.idle():
-        assert not told
+        assert not rests, "reported while moving"
         made.run(0.5)
-    made.engine.advance(made.engine.now + int(50_000 / made.us))
-    assert told == [1]
+    made.engine.advance(made.engine.now + int(50_000 / made.us))  # 50 ms more
+    assert rests == [1]
 
 
 @pytest.mark.parametrize("engine", WHOLE)
 def test_rest_is_not_reported_after_a_stop(engine: str) -> None:
     made = make(engine, "fast")
     made.engine.start()
-    made.run(100)
+    made.run(100)  # ms: in the middle of the motion
     made.engine.stop()
-    made.engine.advance(made.engine.now + int(100_000 / made.us))
+    made.engine.advance(made.engine.now + int(100_000 / made.us))  # 100 ms
     assert made.rests == 0
 
 
@@ -44,10 +53,11 @@ def test_a_stopped_engine_stays_stopped_until_it_is_armed(engine: str) -> None:
     made.engine.stop()
     for _ in range(3):
         made.engine.start()
-        made.engine.advance(made.engine.now + int(50_000 / made.us))
+        made.engine.advance(made.engine.now + int(50_000 / made.us))  # 50 ms
     assert made.steps == [] and made.engine.idle()
     made.engine.arm()
     made.go()
+    # The planned motion, there and back, has been executed.
     assert made.places() == made.position() == [0, 0, 0] and made.steps
 
 
@@ -57,25 +67,28 @@ def count_lines_of_start(made: Made) -> int:
 
 
 def start_and_stop(made: Made, at_line: int) -> int:
-    """Start the engine, and stop it before the line with this number, from 0; -1: not at all.
+    """Start the engine, and stop it before executing a line of its Python code.
 
-    Return the number of lines executed. The stop's own lines are not counted.
+    at_line: the number of that line in the order of execution, from 0; -1: do not stop. Return the
+    number of lines executed, without those of the stop.
     """
     count = 0
 
     def trace(frame: Any, event: str, _: Any) -> Any:
+        """Count the lines of the ESP32's engine; call stop() before number at_line."""
         nonlocal count
         if "esp_chip" not in frame.f_code.co_filename:
             return None
         if event == "line":
             if count == at_line:
-                sys.settrace(None)
+                sys.settrace(None)  # the lines of stop() are not to be counted
                 made.engine.stop()
                 sys.settrace(trace)
             count += 1
         return trace
 
-    getattr(made.engine.real, "flash_written", int)()  # makes the start longer
+    # After a flash write the start has more to do. RMT has no such method: int() does nothing.
+    getattr(made.engine.real, "flash_written", int)()
     sys.settrace(trace)
     try:
         made.engine.real.start()
@@ -91,7 +104,7 @@ def test_a_stop_during_the_start_wins(engine: str) -> None:
     for line in range(count_lines_of_start(make(engine, "fast"))):
         made = make(engine, "fast")
         start_and_stop(made, line)
-        made.engine.advance(made.engine.now + 100_000 * made.engine._per_us)
+        made.engine.advance(made.engine.now + 100_000 * made.engine._per_us)  # 100 ms
         assert made.steps == [] and made.engine.idle() and made.engine.fault() == ""
         made.engine.arm()
         made.go()
@@ -103,43 +116,46 @@ def test_a_stop_during_the_start_wins(engine: str) -> None:
 def test_a_failing_turn_stops_the_tool_then_the_motors_and_is_reported(
     engine: str, after_ms: float
 ) -> None:
+    """An exception in the engine's timer function, a "turn", which also calls on_poll."""
     made = make(engine, "fast")
     real = made.engine.real
-    order: list[str] = []
-    halt = real._halt
+    order: list[str] = []  # what has been stopped_us
+    halt = real._halt  # stops the motors
     real._halt = lambda: (order.append("motors"), halt())
     real.on_fault = lambda: order.append("tool")
     made.engine.start()
     made.run(after_ms)
 
-    def look() -> None:
+    def fail_once() -> None:
         if not order:
             raise ValueError("an error that is ok")
 
-    real.on_poll = look
+    real.on_poll = fail_once
     made.run(20)
-    stopped = made.engine.now * made.us
-    assert order == ["tool", "motors"] and not made.engine.idle()
-    words = made.engine.fault().lower()
-    assert "value" in words and "error" not in words and "ok" not in words
-    made.engine.advance(made.engine.now + 200_000 * made.engine._per_us)
-    assert all(us <= stopped for us, *_ in made.steps)
+    stopped_us = made.engine.now * made.us
+    assert order == ["tool", "motors"] and not made.engine.idle()  # until stop()
+    message = made.engine.fault().lower()
+    # It names the exception, but not its text, which a sender might take for an answer.
+    assert "value" in message and "error" not in message and "ok" not in message
+    made.engine.advance(made.engine.now + 200_000 * made.engine._per_us)  # 200 ms
+    assert all(us <= stopped_us for us, *_ in made.steps)
     made.engine.stop()
     assert made.engine.idle()
-    off = [abs(a - b) for a, b in zip(made.position(), made.places(), strict=True)]
-    assert max(off) <= 1
+    differences = [abs(a - b) for a, b in zip(made.position(), made.places(), strict=True)]
+    assert max(differences) <= 1  # step: one may have been on its way
     made.engine.arm()
     assert made.engine.fault() == ""
 
 
 @pytest.mark.parametrize("engine", ESP)
 def test_the_engine_works_again_long_after_a_fault(engine: str) -> None:
-    """Longer than the largest difference between two of its times."""
+    """After more time than the engine can measure between two readings of its clock."""
     made = make(engine, "diagonal")
-    made.engine.real._fail(ValueError())
-    made.engine.real._timer.deinit()
-    clock.work(700_000_000)
+    made.engine.real._fail(ValueError())  # as if a turn had raised this
+    made.engine.real._timer.deinit()  # no turns in the meantime
+    clock.work(700_000_000)  # 700 s; ticks_us() wraps after 2**30 us, differences after half
     made.engine.stop()
+    # The timer calls the turns each millisecond again.
     made.engine.real._timer.init(period=1, callback=made.engine.real._refill)
     made.run(30)
     made.engine.arm()
@@ -153,21 +169,22 @@ def test_the_engine_works_again_long_after_a_fault(engine: str) -> None:
 def test_a_failure_during_fault_handling_does_not_prevent_the_stop(
     engine: str, what_fails: str
 ) -> None:
+    """The turn fails, and so does one of the two functions that then stop tool and motors."""
     made = make(engine, "fast")
     real = made.engine.real
-    done: list[str] = []
+    called: list[str] = []
 
     def fail() -> None:
-        done.append(what_fails)
+        called.append(what_fails)
         raise OSError(5)
 
     for name in ("on_fault", "_halt", "on_poll"):
-        setattr(real, name, lambda name=name: done.append(name))
+        setattr(real, name, lambda name=name: called.append(name))
     setattr(real, what_fails, fail)
-    real._advance = fail
+    real._advance = fail  # the first failure: this is called in each turn
     made.engine.start()
     made.run(10)
-    assert {"on_fault", "_halt"} <= set(done)
+    assert {"on_fault", "_halt"} <= set(called)
     assert "OS" in made.engine.fault()
 
 
@@ -176,21 +193,22 @@ def test_a_failure_during_fault_handling_does_not_prevent_the_stop(
 def test_motion_begins_at_once_even_right_before_the_clock_wraps(
     engine: str, before_us: int
 ) -> None:
-    clock.us += -(clock.us + before_us) & 0x3FFFFFFF
+    clock.us += -(clock.us + before_us) & 0x3FFFFFFF  # ticks_us() wraps to 0 at 2**30
     made = make(engine, "diagonal")
     made.engine.start()
-    made.run(150)
+    made.run(150)  # ms
     assert made.steps
 
 
 @pytest.mark.parametrize("engine", ESP)
 def test_motion_that_does_not_continue_is_a_fault(engine: str) -> None:
+    """fault() reports a pause of more than about half a second in motion, and stop() clears it."""
     made = make(engine, "diagonal")
     made.engine.start()
     made.run(100)
     assert made.engine.fault() == ""
-    made.engine.real._timer.deinit()
-    made.run(300)
+    made.engine.real._timer.deinit()  # no more turns: the engine gets no new segments
+    made.run(300)  # ms
     assert made.engine.fault() == ""
     made.run(400)
     assert "later than scheduled" in made.engine.fault()
@@ -207,7 +225,7 @@ def test_interrupts_delayed_by_a_collection_come_late_and_lose_nothing(
     made.engine.start()
     for _ in range(4):
         made.run(90)
-        clock.work(away_ms * 1000)
+        clock.work(away_ms * 1000)  # the collection: no interrupt is served
     made.run()
     assert made.position() == made.places() == [1500, 1075, -425]
     assert made.engine.fault() == "" and made.rests == 1
@@ -218,7 +236,12 @@ def test_interrupts_delayed_by_a_collection_come_late_and_lose_nothing(
 
 @pytest.mark.parametrize("engine", ["rmt", "rmt_s3"])
 def test_rmt_never_plays_more_than_a_channel_holds(engine: str) -> None:
+    """A longer train would be refilled by an interrupt, which a flash write delays.
+
+    channel.trains: those played, (start us, level, durations, end us). A symbol has two durations.
+    """
     chance = random.Random(5)
+    # steps/mm, mm/min, mm/s²: fast, so that trains of pulses become as long as possible.
     limits = Limits((400.0,) * 3, (60_000.0,) * 3, (5000.0,) * 3)
     made = Made(engine, limits)
     made.bench.line((20.0, 20.0, -7.0), 60_000.0)
@@ -226,13 +249,13 @@ def test_rmt_never_plays_more_than_a_channel_holds(engine: str) -> None:
     while not made.engine.idle():
         made.run(chance.uniform(5, 30))
         for channel in esp32.RMT.channels:
-            channel.flash_write(chance.randrange(20_000))
-    assert made.places() == made.position() == [8000, 8000, -2800]
+            channel.flash_write(chance.randrange(20_000))  # us without interrupts
+    assert made.places() == made.position() == [8000, 8000, -2800]  # 400 steps/mm
     for channel in esp32.RMT.channels:
-        most = max(len(durations) for _, _, durations, _ in channel.trains)
-        assert most <= 2 * (channel.symbols - 1)
-    most = max(len(train[2]) for train in esp32.RMT.channels[0].trains)
-    assert most > channel.symbols, "trains should be as long as allowed"
+        longest = max(len(durations) for _, _, durations, _ in channel.trains)
+        assert longest <= 2 * (channel.symbols - 1)
+    longest = max(len(train[2]) for train in esp32.RMT.channels[0].trains)
+    assert longest > channel.symbols, "trains should be as long as allowed"
 
 
 @pytest.mark.parametrize("engine", ["rmt", "rmt_s3"])
@@ -241,10 +264,12 @@ def test_rmt_disconnects_the_pins_while_the_channels_continue(engine: str) -> No
     made.engine.start()
     made.run(100)
     made.engine.stop()
-    stopped = clock.us
-    assert max(channel.trains[-1][3] for channel in esp32.RMT.channels) > stopped + 1500
+    stopped_us = clock.us
+    # A train is (start us, level, durations, end us): some channel plays 1.5 ms longer.
+    last_end_us = max(channel.trains[-1][3] for channel in esp32.RMT.channels)
+    assert last_end_us > stopped_us + 1500
     made.engine.advance(made.engine.now + 50_000)
-    assert all(us <= stopped for us, *_ in made.steps)
+    assert all(us <= stopped_us for us, *_ in made.steps)
 
 
 @pytest.mark.parametrize("engine", ["rmt", "rmt_s3"])
@@ -256,24 +281,29 @@ def test_rmt_waits_for_the_end_of_disconnected_trains(engine: str) -> None:
     made.engine.arm()
     before = made.places()
     bench = made.bench
+    # Plan anew from the position of the stop.
     bench.planner.clear()
     bench.segments.clear()
     bench.planner.sync_motors(array("i", made.position()))
-    target = [p + 160 for p in made.position()]
-    bench.line((target[0] / 80, target[1] / 80, target[2] / 400), 1200.0)
+    target = [steps + 160 for steps in made.position()]
+    # "fast" has 80, 80 and 400 steps/mm.
+    bench.line((target[0] / 80, target[1] / 80, target[2] / 400), feed=1200.0)
     made.go()
     assert made.position() == target
+    # All 160 steps are at the pins: none came during the rest of an old train.
     assert [b - a for a, b in zip(before, made.places(), strict=True)] == [160, 160, 160]
 
 
 def test_rmt_inverts_steps_in_the_pin_registers() -> None:
+    """Bit 9 of a pin's word in the GPIO matrix inverts its output; words_of_pins() has X, Y, Z."""
     made = make("rmt", "reversals")
-    made.engine.configure(_PULSE_US, 0b010, 0)
+    made.engine.configure(_PULSE_US, 0b010, 0)  # step_invert: axis 1; dir_invert: none
     assert [word >> 9 & 1 for word in words_of_pins()] == [0, 1, 0]
     made.go()
     assert made.position() == made.places() == [0, 0, 0]
     assert [word >> 9 & 1 for word in words_of_pins()] == [0, 1, 0]
     made.engine.stop()
+    # 0x100: not connected to RMT, level 0; with bit 9 inverted: level 1, at rest for axis 1.
     assert [word & 0x300 for word in words_of_pins()] == [0x100, 0x300, 0x100]
 
 
@@ -290,19 +320,25 @@ def test_rmt_states_the_rate_at_which_trains_are_long_enough() -> None:
 # I2S
 
 
-@pytest.mark.parametrize("told", [True, False])
-def test_i2s_begins_a_new_stream_after_a_flash_write(told: bool) -> None:
+@pytest.mark.parametrize("notified", [True, False])
+def test_i2s_begins_a_new_stream_after_a_flash_write(notified: bool) -> None:
+    """A flash write disorders the DMA's buffers; flash_written() makes the engine start anew.
+
+    Without that call (notified is False) the model must show the disorder: steps at wrong times.
+    """
     made = make("i2s", "diagonal")
+    # A new stream, which a pause of 200 ms, and a flash write of 45 ms, follow before motion.
     made.engine.real._stream.close()
     made.engine.real._reopen()
     made.engine.advance(made.engine.now + 200_000 * made.engine._per_us)
     esp_machine.I2S.open_streams[0].flash_write(45_000)
-    if told:
+    if notified:
         made.engine.real.flash_written()
     made.go()
     assert made.position() == [1500, 1075, -425]
     due = planned(made)
     real = [of_axis(made.steps, axis) for axis in range(3)]
+    # Every interval between steps at the pins is within 20 us of the planned one.
     as_planned = all(
         len(steps) == len(there)
         and all(
@@ -310,7 +346,9 @@ def test_i2s_begins_a_new_stream_after_a_flash_write(told: bool) -> None:
         )
         for steps, there in zip(due, real, strict=True)
     )
-    assert as_planned is told, "a wrong order of buffers must show, unless there is a new stream"
+    assert as_planned is notified, (
+        "a wrong order of buffers must show, unless there is a new stream"
+    )
 
 
 def gaps(real: Any, due: Any) -> Any:

@@ -2,6 +2,15 @@
 
 sim: the simulator's engine. pio: the words of firmware/pio, played by the timing that
 programs.py states. i2s, rmt: the whole engines on stand-ins of the ESP32's hardware.
+
+make(engine, move) returns a Made: a bench (planner and segments) with an engine, and planned
+motion by its name in moves(). made.go() executes it. clock.work(us): the CPU is busy, and no timer
+is served. STATED: an engine's tolerances by its name, in us: steps may come `early` and `late`,
+motion may pause for `gap`, axes may drift `apart`; in ms: hold_ms, lock_ms.
+
+A segment is an array, a "row": ROW_TICKS its duration, ROW_DIRS a bit per motor (1: negative),
+ROW_POWER the laser's power, and from ROW_AXES on, ROW_STRIDE values per motor: its number of
+steps, and the ticks of the first and the last one; the others are evenly spaced.
 """
 
 import json
@@ -27,7 +36,7 @@ from ugrbl.sim.engine import SimEngine, step_tick
 pytestmark = pytest.mark.sampled(2)
 
 _SHARED = Path(__file__).resolve().parents[3] / "shared"
-_PULSE_US = 10
+_PULSE_US = 10  # length of a step pulse, $0
 
 
 @dataclass
@@ -52,36 +61,38 @@ STATED = {
 _TURN_US = 14  # additional delay of all axes for a reversal
 ENGINES = ("sim", "i2s", "rmt", "rmt_s3", "pio")
 WHOLE = ("sim", "i2s", "rmt", "rmt_s3")  # engines whose hardware is modelled too
-ESP = ("i2s", "rmt", "rmt_s3")
-MOST_MOTORS = {"rmt": 4, "rmt_s3": 4, "i2s": 6}
+ESP = ("i2s", "rmt", "rmt_s3")  # rmt_s3: on an ESP32-S3, with smaller channels
+MOST_MOTORS = {"rmt": 4, "rmt_s3": 4, "i2s": 6}  # others: 8
 
 
 class Made:
     """A bench with an engine, and the steps that it made."""
 
     def __init__(self, name: str, limits: Limits) -> None:
+        """Connect planner, segments and engine. name: of ENGINES; limits: of the axes."""
         self.name = name
         motors = len(limits.moves or limits.rate)
         self.engine: Any
         if name in ESP:
             self.engine = EspEngine(name, motors)
+            # tick frequency, log2 of a full segment's ticks, highest step frequency
             hz, log2, most = self.engine.tick_hz, self.engine.segment_log2, 0
             most = self.engine.max_step_hz(_PULSE_US)
-        elif name == "pio":
+        elif name == "pio":  # no engine object: see _play_words()
             hz, log2, most = 12_500_000, 16, 12_500_000 // pulses.shortest_gap(125)
         else:
             self.engine = SimEngine(motors)
-            hz, log2, most = SimEngine.tick_hz, 17, 90_909
+            hz, log2, most = SimEngine.tick_hz, 17, 90_909  # 1 / (10 us pulse + 1 us pause)
         limits.step_hz = min(limits.step_hz, most)
         self.us = 1_000_000 / hz  # of a tick
-        self.bench = Bench(limits, 64, hz, log2)
-        self.steps: list[Step] = []
-        self.powers: list[int] = []
+        self.bench = Bench(limits, 64, hz, log2)  # 64 planner blocks
+        self.steps: list[Step] = []  # (us, axis, sign)
+        self.powers: list[int] = []  # spindle power, as reported by the engine
         if name != "pio":
-            self.rests = 0
+            self.rests = 0  # how often the engine has reported the end of motion
             self.engine.attach(self.bench.segments.next, self.powers.append, self._rest)
             self.engine.arm()
-            self.engine.configure(_PULSE_US, 0, 0)
+            self.engine.configure(_PULSE_US, 0, 0)  # no output is inverted
             self.engine.trace = self._trace
 
     def _rest(self) -> None:
@@ -89,7 +100,8 @@ class Made:
         self.rests += 1
 
     def _trace(self, start: int, row: "array[int]") -> None:
-        steps = [
+        """Add the steps of a row that the engine executes from tick `start` on."""
+        steps = [  # ns, so that sorting is exact
             (int((start + step_tick(row, base, k)) * self.us * 1000), axis, sign)
             for axis in range((len(row) - ROW_AXES) // ROW_STRIDE)
             for base in [ROW_AXES + ROW_STRIDE * axis]
@@ -99,7 +111,7 @@ class Made:
         self.steps += [(ns / 1000, axis, sign) for ns, axis, sign in sorted(steps)]  # type: ignore[misc]
 
     def run(self, milliseconds: float = 60_000) -> None:
-        """Run the engine until it is idle, or for this time."""
+        """Run the engine until it is idle, or for this time; the PIO's always to its end."""
         if self.name == "pio":
             self.steps += _play_words(self.bench, self.us)
             return
@@ -115,11 +127,11 @@ class Made:
         return self
 
     def places(self) -> "list[int]":
-        """Return the position given by the steps made."""
-        found = [0] * self.bench.planner.motors
+        """Return the position in steps: the sum of the steps made, per motor."""
+        steps_by_axis = [0] * self.bench.planner.motors
         for _, axis, sign in self.steps:
-            found[axis] += sign
-        return found
+            steps_by_axis[axis] += sign
+        return steps_by_axis
 
     def position(self) -> "list[int]":
         """Return the motors' position as the engine reports it."""
@@ -129,27 +141,33 @@ class Made:
 
 
 def _play_words(bench: Bench, us: float) -> "list[Step]":
-    """Convert segments to words for the PIO, and words to steps by the timing in programs.py."""
+    """Convert segments to words for the PIO, and words to steps by the timing in programs.py.
+
+    A word: bit 0 the direction, 12 bits the number of steps, and the delay before each, in ticks.
+    A tick is 80 ns: 125 ticks are a pulse of 10 us. The sums with 3, 6 and 9 are the instructions
+    of the PIO's loop. us: length of a tick.
+    """
     axes = bench.planner.motors
     timing = array("i", [0] * pulses.TIMING_LENGTH)
     timing[pulses.AXES] = axes
-    pulses.set_timing(timing, 125, 25, 63)
+    pulses.set_timing(timing, pulse=125, hold=25, setup=63)  # ticks: 10, 2, and 5 us
     lanes = array("i", [0] * (pulses.LANE * axes))
     words = array("i", [0] * (axes << pulses.RING_LOG2))
     whole = array("i", [0] * row_length(axes))
     piece = array("i", whole)
-    ready = [0] * axes
+    ready = [0] * axes  # tick at which each motor's program reads its next word
     steps: list[tuple[float, int, int]] = []
     while bench.segments.next(whole):
         begin = 0
         while True:
             row = whole
-            if whole[ROW_TICKS] > pulses.LONGEST:
+            if whole[ROW_TICKS] > pulses.LONGEST:  # cut it: 0 is returned with the last piece
                 begin = pulses.cut(piece, whole, begin, axes)
                 row = piece
+            # The positions in the rings before convert() writes the words of this row.
             sent = [lanes[pulses.LANE * i + pulses.HEAD] for i in range(axes)]
             pulses.convert(row, lanes, words, timing)
-            for i in range(axes):
+            for i in range(axes):  # play the new words of each motor
                 ring = i << pulses.RING_LOG2
                 while sent[i] != lanes[pulses.LANE * i + pulses.HEAD]:
                     word = words[ring + sent[i]] & 0xFFFFFFFF
@@ -168,7 +186,10 @@ def _play_words(bench: Bench, us: float) -> "list[Step]":
 
 
 def moves() -> "dict[str, tuple[Limits, list[tuple[tuple[float, ...], float]]]]":
-    """Return lines (places in mm, speed in mm/s) by their special property."""
+    """Return (limits, lines) by what is special in them; a line is (target in mm, mm/s).
+
+    slow has 250 steps/mm; fast 80, 80 and 400, with its rates in mm/min and mm/s².
+    """
     slow = Limits(acceleration=(200.0,) * 3, rate=(3000.0,) * 3)
     fast = Limits((80.0, 80.0, 400.0), (6000.0, 6000.0, 600.0), (500.0, 500.0, 200.0))
     ring = [(0.0, 0.0), (1.0, 0.1), (1.9, 0.5), (2.4, 1.2), (2.5, 2.0), (2.1, 2.8), (1.2, 3.2)]
@@ -193,14 +214,16 @@ def moves() -> "dict[str, tuple[Limits, list[tuple[tuple[float, ...], float]]]]"
 def _of_axes(
     axes: int, twice: "tuple[int, ...]" = ()
 ) -> "tuple[Limits, list[tuple[tuple[float, ...], float]]]":
-    """Return moves of all axes: all go, and come back one by one. twice: axes with a second
-    motor."""
+    """Return limits and lines, as moves(): all axes go, and come back one by one.
+
+    twice: axes with a second motor.
+    """
     limits = Limits((250.0,) * axes, (3000.0,) * axes, (200.0,) * axes)
     if twice:
-        limits.moves = [1 << axis for axis in (*range(axes), *twice)]
+        limits.moves = [1 << axis for axis in (*range(axes), *twice)]  # each motor's axis
     far = tuple((4.0, -3.3, 1.7, 0.9, -2.2, 3.1)[:axes])
-    ways = [tuple(0.0 if i < k else at for i, at in enumerate(far)) for k in range(axes + 1)]
-    return limits, [(way, 15.0) for way in ways]
+    targets = [tuple(0.0 if i < k else at for i, at in enumerate(far)) for k in range(axes + 1)]
+    return limits, [(target, 15.0) for target in targets]
 
 
 def _ganged(letters: str) -> Limits:
@@ -212,12 +235,13 @@ MOVES = moves()
 
 
 def make(engine: str, move: str) -> Made:
+    """Return a bench with the engine and this motion planned, not started. move: of moves()."""
     limits, lines = moves()[move]
     if len(limits.moves or limits.rate) > MOST_MOTORS.get(engine, 8):
         pytest.skip(f"{engine} has fewer motors")
     made = Made(engine, limits)
     for target, feed in lines:
-        made.bench.line(target, feed * 60)
+        made.bench.line(target, feed * 60)  # mm/min
     return made
 
 
@@ -225,15 +249,15 @@ Planned = "list[list[tuple[float, int]]]"
 
 
 def planned(made: Made) -> "list[list[tuple[float, int]]]":
-    """Return (us, sign) of the requested steps per axis."""
-    found: list[list[tuple[float, int]]] = [[] for _ in range(made.bench.planner.motors)]
+    """Return a list per axis of the planned steps, as (us, sign)."""
+    steps_by_axis: list[list[tuple[float, int]]] = [[] for _ in range(made.bench.planner.motors)]
     for segment in made.bench.watch.made:
-        for axis, steps in enumerate(found):
+        for axis, steps in enumerate(steps_by_axis):
             base = ROW_AXES + ROW_STRIDE * axis
             sign = -1 if segment.row[ROW_DIRS] >> axis & 1 else 1
             for k in range(segment.row[base]):
                 steps.append(((segment.start + step_tick(segment.row, base, k)) * made.us, sign))
-    return found
+    return steps_by_axis
 
 
 def of_axis(steps: "list[Step]", axis: int) -> "list[tuple[float, int]]":
@@ -258,13 +282,14 @@ def test_steps_come_within_the_stated_tolerance(engine: str, move: str) -> None:
     tracks = []
     for axis, steps in enumerate(planned(made)):
         real = of_axis(made.steps, axis)
-        late = [us - due for (us, _), (due, _) in zip(real, steps, strict=True)]
-        for k, (before, after) in enumerate(pairwise(late)):
+        late_us = [us - due for (us, _), (due, _) in zip(real, steps, strict=True)]
+        for k, (before, after) in enumerate(pairwise(late_us)):
             turn = _TURN_US if steps[k][1] != steps[k + 1][1] else 0
             allowed = stated.late + stated.gap + turn
             # The law of the motor: no interval is shorter, or longer, than stated.
             assert -stated.early <= after - before <= allowed, f"axis {axis}, step {k}"
-        tracks.append(list(zip([due for due, _ in steps], late, strict=True)))
+        tracks.append(list(zip([due for due, _ in steps], late_us, strict=True)))
+    # Each axis against the next one that moves: (planned us, late us) of all their steps.
     for a, b in pairwise([track for track in tracks if track]):
         _check_together(a, b, stated.apart + stated.gap + 2 * _TURN_US)
 
@@ -274,43 +299,53 @@ def test_steps_come_within_the_stated_tolerance(engine: str, move: str) -> None:
 def test_a_late_train_shortens_no_interval(
     engine: str, slow: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The motor waits and does not catch up when flash or a radio delays a start."""
+    """The motor waits and does not catch up when flash or a radio delays a train's start.
+
+    slow: the axis whose fourth and seventh train start 7 ms late.
+    """
     write = esp32.RMT.write_pulses
 
-    def hindered(channel: esp32.RMT, durations: "list[int]", data: object = True) -> None:
+    def delayed_write(channel: esp32.RMT, durations: "list[int]", data: object = True) -> None:
         if channel is esp32.RMT.channels[slow] and len(channel.trains) in (3, 6):
             clock.work(7000)
         write(channel, durations, data)
 
-    monkeypatch.setattr(esp32.RMT, "write_pulses", hindered)
+    monkeypatch.setattr(esp32.RMT, "write_pulses", delayed_write)
     made = make(engine, "diagonal").go()
-    assert len(esp32.RMT.channels[slow].trains) > 7
+    assert len(esp32.RMT.channels[slow].trains) > 7  # so two of them were late
     for axis, steps in enumerate(planned(made)):
-        late = [us - due for (us, _), (due, _) in zip(of_axis(made.steps, axis), steps)]
-        assert len(late) == len(steps)
-        assert all(b - a >= -STATED[engine].early for a, b in pairwise(late)), f"axis {axis}"
+        late_us = [us - due for (us, _), (due, _) in zip(of_axis(made.steps, axis), steps)]
+        assert len(late_us) == len(steps)
+        assert all(b - a >= -STATED[engine].early for a, b in pairwise(late_us)), f"axis {axis}"
 
 
 def _check_together(
     a: "list[tuple[float, float]]", b: "list[tuple[float, float]]", allowed: float
 ) -> None:
-    """Check that axes are late together: the path is the planned one."""
+    """Check that axes are late together, because then the path is the planned one.
+
+    a, b: (planned us, late us) of each step of two axes. The lateness of b's step must be between
+    those of a's steps just before and after it, to `allowed` us.
+    """
     k = 0
     for due, late in b:
         while k + 1 < len(a) and a[k + 1][0] <= due:
             k += 1
-        near = [a[k][1], a[min(k + 1, len(a) - 1)][1]]
-        assert min(near) - allowed <= late <= max(near) + allowed, f"axes apart at {due} us"
+        neighbours = [a[k][1], a[min(k + 1, len(a) - 1)][1]]
+        assert min(neighbours) - allowed <= late <= max(neighbours) + allowed, (
+            f"axes apart at {due} us"
+        )
 
 
 @pytest.mark.sampled(14)
 @pytest.mark.parametrize("move", MOVES)
 @pytest.mark.parametrize("engine", ESP)
 def test_drivers_get_the_times_they_need(engine: str, move: str) -> None:
+    """Pins' levels: pulse and pause of step, direction before and after a step; all in us."""
     made = make(engine, move).go()
     for levels in made.engine.pins.levels:
         assert levels.shortest_pulse >= _PULSE_US
-        assert levels.shortest_pause >= 2
+        assert levels.shortest_pause >= 2  # us
         assert levels.shortest_setup >= 8, "direction to step"
         assert levels.shortest_hold >= _PULSE_US, "step to direction"
 
@@ -320,10 +355,10 @@ def test_position_matches_the_steps_at_any_time(engine: str) -> None:
     made = make(engine, "reversals")
     made.engine.start()
     while not made.engine.idle():
-        made.run(3.7)
+        made.run(3.7)  # ms
         if engine != "sim":  # its trace shows whole segments only
-            off = [abs(a - b) for a, b in zip(made.position(), made.places(), strict=True)]
-            assert max(off) <= 1
+            differences = [abs(a - b) for a, b in zip(made.position(), made.places(), strict=True)]
+            assert max(differences) <= 1  # step: its pulse may be under way
     assert made.position() == made.places()
 
 
@@ -334,95 +369,102 @@ def test_a_stop_is_immediate_and_leaves_a_position(engine: str, after_ms: float)
     made.engine.start()
     made.run(after_ms)
     made.engine.stop()
-    stopped = made.engine.now * made.us
-    made.engine.advance(made.engine.now + int(100_000 / made.us))
+    stopped_us = made.engine.now * made.us
+    made.engine.advance(made.engine.now + int(100_000 / made.us))  # 100 ms
     assert made.engine.idle()
-    assert all(us <= stopped + 30 for us, *_ in made.steps)
-    off = [abs(a - b) for a, b in zip(made.position(), made.places(), strict=True)]
-    assert max(off) <= 1
+    assert all(us <= stopped_us + 30 for us, *_ in made.steps)
+    differences = [abs(a - b) for a, b in zip(made.position(), made.places(), strict=True)]
+    assert max(differences) <= 1
 
 
 @pytest.mark.parametrize("engine", WHOLE)
 def test_motion_continues_after_a_stop(engine: str) -> None:
     made = make(engine, "fast")
     made.engine.start()
-    made.run(100)
+    made.run(100)  # ms
     made.engine.stop()
     bench = made.bench
+    # What the firmware does after a reset: nothing is planned, and the position is 0.
     made.engine.arm()
     bench.planner.clear()
     bench.segments.clear()
     bench.planner.sync_motors(array("i", [0, 0, 0]))
     made.engine.set_position(array("i", [0, 0, 0]))
-    made.engine.advance(made.engine.now + int(1000 / made.us))
+    made.engine.advance(made.engine.now + int(1000 / made.us))  # 1 ms
     before = made.places()
-    bench.line((3.0, 2.0, -0.25), 1200.0)
+    bench.line((3.0, 2.0, -0.25), feed=1200.0)
     made.go()
-    assert made.position() == [240, 160, -100]
+    assert made.position() == [240, 160, -100]  # 80, 80 and 400 steps/mm
     moved = [b - a for a, b in zip(before, made.places(), strict=True)]
+    # Of the stopped motion, one step may still come.
     assert all(abs(a - b) <= 1 for a, b in zip(moved, [240, 160, -100], strict=True)), moved
 
 
 @pytest.mark.parametrize("engine", WHOLE)
 def test_a_locked_axis_stands_still_and_the_others_arrive(engine: str) -> None:
+    """As in homing: an axis at its switch stops, the others go on to the end of their motion."""
     made = make(engine, "slow")
     made.engine.start()
-    made.run(200)
-    made.engine.lock(1)
-    at = made.position()[0]
+    made.run(200)  # ms
+    made.engine.lock(0b001)  # a mask of motors: X
+    at_lock = made.position()[0]
     made.run(STATED[engine].lock_ms + 2)
     locked = made.places()[0]
     made.run()
     assert made.places()[0] == locked
-    total = [sum(sign for _, sign in steps) for steps in planned(made)]
-    assert made.places()[1:] == made.position()[1:] == total[1:]
+    planned_steps = [sum(sign for _, sign in steps) for steps in planned(made)]
+    assert made.places()[1:] == made.position()[1:] == planned_steps[1:]
     # A train under way at lock() may have ended later. The next motion first takes these steps
     # back, so position(), the engine's count, is that of the lock.
     made.engine.stop()
     made.engine.arm()
-    assert made.position()[0] == at
+    assert made.position()[0] == at_lock
     made.bench.planner.clear()
     made.bench.planner.sync_motors(array("i", made.position()))
     made.bench.line((0.5, 0.5, 0.5), 60.0)
     made.go()
-    assert made.places() == made.position() == [125, 125, 125]
+    assert made.places() == made.position() == [125, 125, 125]  # 250 steps/mm * 0.5 mm
 
 
 @pytest.mark.parametrize("engine", WHOLE)
 def test_a_motor_locked_at_rest_stays_and_keeps_its_position(engine: str) -> None:
+    """The lock lasts for one motion. Positions begin at 70, 80, 90 and 100 steps."""
     made = make(engine, "two on Y")
-    made.engine.lock(0b0010)
+    made.engine.lock(0b0010)  # the first motor of Y; the last motor is Y's, too
     made.engine.set_position(array("i", [70, 80, 90, 100]))
     made.go()
-    total = [sum(sign for _, sign in steps) for steps in planned(made)]
-    assert made.places() == [total[0], 0, total[2], total[3]] and total[3]
-    named = [70 + total[0], 80, 90 + total[2], 100 + total[3]]
-    assert made.position() == named
+    planned_steps = [sum(sign for _, sign in steps) for steps in planned(made)]
+    assert (
+        made.places() == [planned_steps[0], 0, planned_steps[2], planned_steps[3]]
+        and planned_steps[3]
+    )
+    positions = [70 + planned_steps[0], 80, 90 + planned_steps[2], 100 + planned_steps[3]]
+    assert made.position() == positions
     made.engine.stop()
     made.engine.arm()
-    assert made.position() == named
+    assert made.position() == positions
     before = made.places()
     made.bench.planner.clear()
     made.bench.line((1.0, 1.0, 1.0), 600.0)
     made.bench.line((2.0, 2.0, 2.0), 600.0)
     made.go()
-    gone = [at - was for at, was in zip(made.places(), before, strict=True)]
-    assert gone[1] == gone[3] and gone[1], "the motor must move again"
+    moved = [now - then for now, then in zip(made.places(), before, strict=True)]
+    assert moved[1] == moved[3] and moved[1], "the motor must move again"
 
 
 @pytest.mark.parametrize("engine", WHOLE)
 def test_a_hold_comes_to_rest_within_the_stated_time_and_loses_nothing(engine: str) -> None:
     made = make(engine, "diagonal")
     made.engine.start()
-    made.run(250)
+    made.run(250)  # ms
     made.bench.segments.hold(True)
-    asked = made.engine.now * made.us
+    asked_us = made.engine.now * made.us
     made.run()
-    rest = made.places()
-    assert made.position() == rest
+    steps_at_rest = made.places()
+    assert made.position() == steps_at_rest
     brake_ms = 15.0 / 200.0 * 1000  # speed / acceleration
-    last = max(us for us, *_ in made.steps)
-    assert last - asked <= (brake_ms * 1.6 + STATED[engine].hold_ms) * 1000
+    last_step_us = max(us for us, *_ in made.steps)
+    assert last_step_us - asked_us <= (brake_ms * 1.6 + STATED[engine].hold_ms) * 1000
     made.bench.segments.hold(False)
     made.go()
     assert made.position() == made.places() == [1500, 1075, -425]
@@ -430,43 +472,49 @@ def test_a_hold_comes_to_rest_within_the_stated_time_and_loses_nothing(engine: s
 
 @pytest.mark.parametrize("engine", WHOLE)
 def test_power_is_reported_with_the_segments(engine: str) -> None:
+    """Each four segments get a higher power; the engine must report them in this order."""
     made = make(engine, "diagonal")
     powers = iter(range(1, 10_000))
-    inner = made.bench.segments.next
+    next_segment = made.bench.segments.next
 
     def with_power(row: "array[int]") -> int:
-        found = inner(row)
+        has_row = next_segment(row)
         row[ROW_POWER] = next(powers) // 4
-        return found
+        return has_row
 
     made.engine.attach(with_power, made.powers.append, made._rest)
     made.go()
-    told = [power for power, _ in zip(made.powers, made.powers, strict=True)]
-    assert told == sorted(told)
-    assert len(set(told)) >= 5
+    reported = [power for power, _ in zip(made.powers, made.powers, strict=True)]
+    assert reported == sorted(reported)
+    assert len(set(reported)) >= 5
 
 
 @pytest.mark.parametrize("engine", WHOLE)
 def test_power_after_motion_is_the_last_segments(engine: str) -> None:
-    """An M4 laser is off then, or at its lowest power."""
+    """With M4, which adapts a laser's power to the speed, that is off or the lowest power.
+
+    Here each segment has a power that is lower by 7; nothing may be reported after the last one.
+    """
     for length in (0.1, 0.5, 1.5, 3.0):
         made = Made(engine, Limits(acceleration=(200.0,) * 3, rate=(3000.0,) * 3))
         made.bench.line((length, 0.0, 0.0), 1200.0)
-        planned: list[int] = []
-        inner = made.bench.segments.next
+        powers: list[int] = []
+        next_segment = made.bench.segments.next
 
-        def with_power(row: "array[int]", inner: Any = inner, planned: Any = planned) -> int:
-            found: int = inner(row)
-            row[ROW_POWER] = 9000 - 7 * len(planned)
-            planned.extend([row[ROW_POWER]] * found)
-            return found
+        def with_power(
+            row: "array[int]", next_segment: Any = next_segment, powers: Any = powers
+        ) -> int:
+            has_row: int = next_segment(row)
+            row[ROW_POWER] = 9000 - 7 * len(powers)
+            powers.extend([row[ROW_POWER]] * has_row)
+            return has_row
 
         made.engine.attach(with_power, made.powers.append, made._rest)
         made.go()
-        assert made.powers[-1] == planned[-1]
-        told = len(made.powers)
+        assert made.powers[-1] == powers[-1]
+        reports = len(made.powers)
         made.engine.advance(made.engine.now + int(100_000 / made.us))
-        assert len(made.powers) == told
+        assert len(made.powers) == reports
 
 
 @pytest.mark.parametrize("after_ms", [1, 5, 20, 33, 41, 120])
@@ -474,27 +522,31 @@ def test_power_after_motion_is_the_last_segments(engine: str) -> None:
 def test_no_power_is_reported_after_a_stop(engine: str, after_ms: float) -> None:
     made = make(engine, "fast")
     powers = iter(range(1, 10_000))
-    inner = made.bench.segments.next
+    next_segment = made.bench.segments.next
 
     def with_power(row: "array[int]") -> int:
-        found = inner(row)
+        has_row = next_segment(row)
         row[ROW_POWER] = next(powers)
-        return found
+        return has_row
 
     made.engine.attach(with_power, made.powers.append, made._rest)
     made.engine.start()
     made.run(after_ms)
     made.engine.stop()
-    told, place = len(made.powers), made.position()
+    reports, position = len(made.powers), made.position()
     for _ in range(50):
-        made.engine.advance(made.engine.now + int(2000 / made.us))
+        made.engine.advance(made.engine.now + int(2000 / made.us))  # 2 ms
         assert made.engine.idle()
-        assert made.position() == place
-    assert len(made.powers) == told
+        assert made.position() == position
+    assert len(made.powers) == reports
 
 
 def awkward_rows(seed: int, tick_hz: int, count: int) -> "list[array[int]]":
-    """Return rows that no planner makes: steps on their edges, reversals at full speed."""
+    """Return rows that no planner makes: steps on their edges, reversals at full speed.
+
+    gap: ticks between steps (50, 110 or 900 us); row[base] to row[base + 2]: the number of steps,
+    the tick of the first, and of the last.
+    """
     chance = random.Random(seed)
     rows = []
     for _ in range(count):
@@ -514,13 +566,14 @@ def awkward_rows(seed: int, tick_hz: int, count: int) -> "list[array[int]]":
 @pytest.mark.parametrize("seed", range(8))
 @pytest.mark.parametrize("engine", ESP)
 def test_awkward_segments_are_complete_and_in_order(engine: str, seed: int) -> None:
+    """All steps are made, and pulse, pause, setup and hold times in us are those of drivers."""
     made = Made(engine, Limits())
     rows = awkward_rows(seed, made.engine.tick_hz, 60)
-    waiting = list(rows)
+    rows_left = list(rows)
 
     def next_segment(row: "array[int]") -> int:
-        if waiting:
-            row[:] = waiting.pop(0)
+        if rows_left:
+            row[:] = rows_left.pop(0)
             return 1
         return 0
 
@@ -540,9 +593,11 @@ def test_awkward_segments_are_complete_and_in_order(engine: str, seed: int) -> N
 
 @pytest.mark.parametrize("late_us", range(30_000, 60_000, 7000))
 def test_i2s_keeps_the_setup_time_after_it_has_run_empty(late_us: int) -> None:
+    """Directions precede steps also after the CPU was busy for too long for the stream."""
     made = Made("i2s", Limits())
 
     def next_segment(row: "array[int]") -> int:
+        # 1600 ticks, all backwards, power 0; each axis: 2 steps, the first at tick 10
         row[:] = array("i", [1600, 7, 0, *([2, 10, 810] * 3)])
         return 1
 
@@ -550,10 +605,10 @@ def test_i2s_keeps_the_setup_time_after_it_has_run_empty(late_us: int) -> None:
     made.engine.start()
     made.run(100)
     for levels in made.engine.pins.levels:
-        levels.shortest_setup = 1_000_000
+        levels.shortest_setup = 1_000_000  # us; measured anew from here
     for _ in range(5):
         clock.work(late_us)
-        made.run(41)
+        made.run(41)  # ms
     made.engine.stop()
     made.run(1)
     for levels in made.engine.pins.levels:
@@ -564,8 +619,8 @@ def test_i2s_keeps_the_setup_time_after_it_has_run_empty(late_us: int) -> None:
 def test_i2s_loses_nothing_after_an_underrun() -> None:
     made = make("i2s", "diagonal")
     made.engine.start()
-    made.run(200)
-    clock.work(80_000)  # flash, or a very long collection
+    made.run(200)  # ms
+    clock.work(80_000)  # us: flash, or a very long garbage collection
     made.run()
     assert made.engine.real.underrun_count() == 1
     assert made.position() == made.places() == [1500, 1075, -425]
@@ -575,7 +630,10 @@ def test_i2s_loses_nothing_after_an_underrun() -> None:
 
 
 def test_i2s_drives_the_motors_enable_outputs() -> None:
-    """The enable outputs of several drivers."""
+    """A board may have several drivers' enable outputs: all follow enable().
+
+    They reach the pins with the stream, within 200 ms.
+    """
     made = Made("i2s", Limits())
     enables = sum(1 << output for output in I2S_ENABLE)
     made.engine.real.enable(1)
@@ -587,31 +645,33 @@ def test_i2s_drives_the_motors_enable_outputs() -> None:
 
 
 def test_i2s_reaches_its_highest_rate() -> None:
-    """A step every three frames: nothing is late, nothing is lost."""
+    """A step every three frames of 8 us, or 41,667 a second: nothing is late, nothing is lost."""
     limits = Limits((400.0,) * 3, (60_000.0,) * 3, (5000.0,) * 3)
     made = Made("i2s", limits)
     made.bench.line((40.0, 20.0, 0.0), 60_000.0)
     made.go()
-    assert made.places() == made.position() == [16_000, 8000, 0]
-    ticks = [us for us, _ in of_axis(made.steps, 0)]
-    gaps = [b - a for a, b in pairwise(ticks)]
-    assert min(gaps) >= 24
-    assert max(made.engine.tick_hz // 16 / (g / 8) for g in gaps[6000:9000]) > 40_000
+    assert made.places() == made.position() == [16_000, 8000, 0]  # 400 steps/mm
+    steps_us = [us for us, _ in of_axis(made.steps, 0)]
+    gaps_us = [b - a for a, b in pairwise(steps_us)]
+    assert min(gaps_us) >= 24  # us
+    # A frame has 16 ticks and 8 us. In the middle of the motion, at full speed:
+    assert max(made.engine.tick_hz // 16 / (gap / 8) for gap in gaps_us[6000:9000]) > 40_000
 
 
 def test_rmt_hides_its_gap_below_the_stated_rate() -> None:
-    """One axis at 2000 steps/s: no train is late."""
+    """One axis at 2000 steps/s (250 steps/mm * 8 mm/s): no train is late."""
     limits = Limits(acceleration=(200.0,) * 3, rate=(3000.0,) * 3)
     made = Made("rmt", limits)
     made.bench.line((6.0, 0.0, 0.0), 480.0)
     made.go()
     assert made.engine.real.longest_gap_us() == 0
-    assert made.engine.real.worst_skew_us() <= 60
+    assert made.engine.real.worst_skew_us() <= 60  # of a channel's start
 
 
 @pytest.mark.parametrize("invert", [0b000, 0b101])
 @pytest.mark.parametrize("engine", ESP)
 def test_directions_are_inverted_on_request(engine: str, invert: int) -> None:
+    """$3, here of axes 0 and 2: the direction pins are inverted, and so is the modelled driver."""
     made = make(engine, "reversals")
     made.engine.configure(_PULSE_US, 0, invert)
     for i, levels in enumerate(made.engine.pins.levels):
@@ -632,7 +692,7 @@ def on_engine(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -
     """Make Rigs use this engine instead of the simulator's."""
     name: str = request.param
 
-    class Engine:
+    class Engine:  # with the constructor of SimEngine
         tick_hz = EspEngine(name).tick_hz
 
         def __new__(cls, axes: int, _depth: int) -> Any:
@@ -649,23 +709,28 @@ def on_engine(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -
 @pytest.mark.parametrize("on_engine", ["i2s", "rmt"], indirect=True)
 @pytest.mark.parametrize("path", _RECORDS, ids=lambda path: path.stem)
 def test_recorded_motion_is_repeated(path: Path, on_engine: str) -> None:
+    """Grbl's recorded motion, replayed with an ESP32's engine: judge_motion() finds no error.
+
+    Its peak rate may differ by _PEAK, a fraction. net_steps: those at the pins.
+    """
     record = json.loads(path.read_text())
-    run = replay._Motion(record, load_board("sim"))
-    observed = run.run()
+    motion = replay._Motion(record, load_board("sim"))
+    observed = motion.run()
     wrong = judge_motion(record, observed, [])
     stops = bool(record.get("events_ms_after_first_step") or record.get("switches"))
     if stops:
         # The reaction time depends on the engine: Grbl's is 45 ms.
-        unheard = ("duration", "peak rate", "not at rest", "net_steps", "pulses", "final")
-        wrong = [text for text in wrong if not text.startswith(unheard) and " at " not in text]
+        ignored = ("duration", "peak rate", "not at rest", "net_steps", "pulses", "final")
+        wrong = [text for text in wrong if not text.startswith(ignored) and " at " not in text]
     assert not [text for text in wrong if not _near_peak(text, _PEAK[on_engine])]
     steps = array("i", [0, 0, 0])
-    run.rig.engine.physical(steps)
-    by_letter = zip("XYZ", steps, strict=True)
-    assert observed["net_steps"] == dict(by_letter)
+    motion.rig.engine.physical(steps)
+    steps_by_letter = zip("XYZ", steps, strict=True)
+    assert observed["net_steps"] == dict(steps_by_letter)
 
 
 def _near_peak(text: str, share: float) -> bool:
+    """Return whether a text is "peak rate X: 99.0 Hz, expected 100" and the rates are near."""
     if not text.startswith("peak rate"):
         return False
     words = text.replace(",", "").split()

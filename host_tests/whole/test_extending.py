@@ -33,7 +33,11 @@ class Change(NamedTuple):
 
 
 def changes(title):
-    """Return the changes of a section of the page."""
+    """Yield the changes of a section of the page: its blocks of code, as Change.
+
+    A block "diff" begins with a line `--- path`. Others are new files, named after the language:
+    "python boards/x.py".
+    """
     parts = _SECTION.split(_PAGE.read_text(encoding="utf-8"))
     section = dict(zip(parts[1::2], parts[2::2], strict=True))[title]
     for kind, path, text in _BLOCK.findall(section):
@@ -47,14 +51,19 @@ def changes(title):
 
 
 def apply(text, diff):
-    """Return the text with the changes; each must fit in exactly one place."""
+    """Return the text with the changes of a unified diff; each must fit in exactly one place.
+
+    Line numbers of the diff (@@) are ignored. An empty line in it is an empty line of context.
+    """
     for hunk in re.split(r"^@@.*\n", diff, flags=re.MULTILINE):
         lines = [line if line.strip() else " \n" for line in hunk.splitlines(keepends=True)]
         old = "".join(line[1:] for line in lines if line[0] in " -")
         new = "".join(line[1:] for line in lines if line[0] in " +")
-        places = [found.start() for found in re.finditer(f"^{re.escape(old)}", text, re.MULTILINE)]
-        assert len(places) == 1, f"{len(places)} places for:\n{old}"
-        text = text[: places[0]] + new + text[places[0] + len(old) :]
+        offsets = [
+            match.start() for match in re.finditer(f"^{re.escape(old)}", text, re.MULTILINE)
+        ]
+        assert len(offsets) == 1, f"{len(offsets)} offsets for:\n{old}"
+        text = text[: offsets[0]] + new + text[offsets[0] + len(old) :]
     return text
 
 
@@ -62,6 +71,7 @@ class Tree:
     """A copy of the needed parts of the tree, with the changes of a section of the page."""
 
     def __init__(self, folder, title):
+        """Copy the tree to folder and apply the changes of the section with this title."""
         self.folder = folder
         for name in _COPIED:
             source = _ROOT / name
@@ -69,12 +79,12 @@ class Tree:
                 shutil.copytree(source, folder / name, ignore=_LEFT_OUT)
             else:
                 shutil.copy(source, folder / name)
-        (folder / "ugrbl").symlink_to(folder / "tools")
+        (folder / "ugrbl").symlink_to(folder / "tools")  # the package's name when installed
         (folder / "build").mkdir()
         # A cache entry is named after its sources: changed files miss it, all others hit.
         (_ROOT / "build" / "cache").mkdir(parents=True, exist_ok=True)
         (folder / "build" / "cache").symlink_to(_ROOT / "build" / "cache")
-        self.written = set()
+        self.written = set()  # files of the changes
         for change in changes(title):
             file = folder / change.path
             text = change.text
@@ -86,7 +96,8 @@ class Tree:
             self.written.add(change.path)
 
     def python(self, *words):
-        """Run this Python with this tree instead of ours; return its output."""
+        """Run this Python with this tree instead of ours; return its output. words: its
+        arguments."""
         done = subprocess.run(
             [sys.executable, *words],
             cwd=self.folder,
@@ -132,18 +143,20 @@ def test_a_change_must_fit_in_one_place():
 
 @in_section("A drilling cycle")
 def test_a_drilling_cycle(tree):
+    # The page's table has the numbers of files that one writes, and that `make docs` renews.
     assert (len(tree.written), 0) == files_the_page_counts("a drilling cycle")
-    told = tree.python("-m", "pytest", "-q", "-p", "no:cacheprovider", "test_drill.py")
-    assert re.search(r"^(=+ )?2 passed", told, re.MULTILINE), told
+    output = tree.python("-m", "pytest", "-q", "-p", "no:cacheprovider", "test_drill.py")
+    assert re.search(r"^(=+ )?2 passed", output, re.MULTILINE), output
     built = tree.ugrbl("build --board drilling_mill.py")
     assert "extras/cycles.mpy" in built
     program = tree.folder / "holes.nc"
     program.write_text("G54 G10 L2 P1 Z1\nG0 Z5\nG81 X10 Y5 Z-2 R1 F100\nX20\nG80\n")
     line = (str(program), "--board", "drilling_mill.py", "--json", str(tree.folder / "j"))
-    told = tree.python("-m", "ugrbl.cli", "run", *line)
+    output = tree.python("-m", "ugrbl.cli", "run", *line)
     result = json.loads((tree.folder / "j").read_text())
-    assert result["errors"] == [], told
-    assert result["bounds_mm"]["Z"] == [-1.0, 6.0]  # the work's zero is at 1
+    assert result["errors"] == [], output
+    # Z0 of the work is at 1 mm of the machine: drilled to Z-2, begun at Z5.
+    assert result["bounds_mm"]["Z"] == [-1.0, 6.0]
     assert result["bounds_mm"]["X"] == [0.0, 20.0]
     assert result["final_position_mm"] == {"X": 20.0, "Y": 5.0, "Z": 6.0}
 
@@ -151,31 +164,34 @@ def test_a_drilling_cycle(tree):
 @pytest.mark.sampled(1)
 @in_section("A setting")
 def test_a_setting(tree):
-    renewed = tree.make_docs()
+    renewed_pages = tree.make_docs()
     assert "`$99`" in (tree.folder / "docs" / "reference.md").read_text()
-    assert (len(tree.written), len(renewed)) == files_the_page_counts("a setting")
+    assert (len(tree.written), len(renewed_pages)) == files_the_page_counts("a setting")
+    # Two tests: that each setting has an effect to observe, and that of the new $99.
     tests = ("-k", "99 or every_setting", "host_tests/whole/test_settings_effects.py")
-    told = tree.python("-m", "pytest", "-q", "-p", "no:cacheprovider", "--all", *tests)
-    assert re.search(r"^(=+ )?2 passed", told, re.MULTILINE), told
+    output = tree.python("-m", "pytest", "-q", "-p", "no:cacheprovider", "--all", *tests)
+    assert re.search(r"^(=+ )?2 passed", output, re.MULTILINE), output
 
 
 @in_section("A setting")
 def test_a_setting_has_its_unit_in_grbl_09(tree):
+    """Grbl 0.9 writes what a setting is after its value. other_output: pairs (line number,
+    text)."""
     program = tree.folder / "ask.nc"
     program.write_text("$$\n")
     tree.python(
         *("-m", "ugrbl.cli", "run", str(program)),
         *("--board", "sim_09j", "--json", str(tree.folder / "told")),
     )
-    told = json.loads((tree.folder / "told").read_text())["other_output"]
-    assert "$99=0.000 (seconds)" in [text for _, text in told]
+    lines = json.loads((tree.folder / "told").read_text())["other_output"]
+    assert "$99=0.000 (seconds)" in [text for _, text in lines]
 
 
 @in_section("A board")
 def test_a_board(tree):
-    renewed = tree.make_docs()
+    renewed_pages = tree.make_docs()
     assert "`pen_plotter.py`" in (tree.folder / "docs" / "boards.md").read_text()
-    assert (len(tree.written), len(renewed)) == files_the_page_counts("a board")
+    assert (len(tree.written), len(renewed_pages)) == files_the_page_counts("a board")
     assert "board.py" in tree.ugrbl("build --board pen_plotter")
     tree.ugrbl("run examples/badge.nc --board pen_plotter --check")
 
@@ -219,19 +235,22 @@ print(link.read_into(buf))
 
 @in_section("A link")
 def test_a_link(tree):
-    renewed = tree.make_docs()
-    assert (len(tree.written), len(renewed)) == files_the_page_counts("a link")
+    renewed_pages = tree.make_docs()
+    assert (len(tree.written), len(renewed_pages)) == files_the_page_counts("a link")
     pico = (tree.folder / "boards" / "rpi_pico.py").read_text()
     board = tree.folder / "my_bluetooth.py"
     board.write_text(pico.replace('LINK = "usb"', 'LINK = "serial"'))
     tree.ugrbl("build --board my_bluetooth.py")
     ports = {file.name for file in (tree.folder / "build" / "my_bluetooth").rglob("*.mpy")}
     assert "serial_link.mpy" in ports and "usb_link.mpy" not in ports
+    # _TALK prints what the new link reads of "G0X1" into a buffer of 3: 3 bytes, then 1, then 0;
+    # the counter of arrivals (1) in between; what it writes; and 0 bytes left after discard().
     assert tree.python("-c", _TALK).splitlines() == ["3 b'G0X' 1 1 0", "b'ok'", "0"]
 
 
 @in_section("An extra")
 def test_an_extra(tree):
+    """The page's example has M100 P1 and P0 switch a vacuum: a program with them has no errors."""
     assert (len(tree.written), 0) == files_the_page_counts("an extra")
     built = tree.ugrbl("build --board router.py")
     assert "vacuum.py" in built and "extras/api.mpy" in built
@@ -302,7 +321,15 @@ with Machine("uneven_mill.py") as machine:
 @in_section("A transform")
 def test_a_transform_follows_the_grid(tree):
     assert (len(tree.written), 0) == files_the_page_counts("a transform")
+    # Heights in mm at points of a grid, a row of X per line of Y.
     (tree.folder / "heights.csv").write_text("0,1,2\n0,2,4\n0,0,0\n")
     tree.ugrbl("build --board uneven_mill.py")
-    told = [[float(mm) for mm in line.split()] for line in tree.python("-c", _UNEVEN).splitlines()]
-    assert told == [[0, 0, 0], [20, 0, 1], [30, 10, 2.252], [30, 10, 1.252]]  # exact to the step
+    positions_mm = [
+        [float(mm) for mm in line.split()] for line in tree.python("-c", _UNEVEN).splitlines()
+    ]
+    assert positions_mm == [
+        [0, 0, 0],
+        [20, 0, 1],
+        [30, 10, 2.252],
+        [30, 10, 1.252],
+    ]  # exact to the step

@@ -3,6 +3,9 @@
 A scenario is played again and again on the simulated machine; each time, at another bytecode of
 the tested functions, a switch closes, a button is pressed, or a reset arrives. `make torture`
 takes every bytecode, `make test` a sample.
+
+A Scenario has a name, lines, and the functions that are interrupted. An event, `act`, is an input
+pin's name ("limit_x", "reset", "hold", "probe") or a real-time byte ("!", Ctrl-X as "\\x18").
 """
 
 import os
@@ -31,11 +34,11 @@ from ugrbl.sim.port import SimPort
 # Many cases of each: the first ring runs a sample.
 pytestmark = [pytest.mark.sampled(2), pytest.mark.usefixtures("each_ms")]
 
-_EVERY = os.environ.get("UGRBL_TORTURE") is not None
-_SAMPLES = 40
+_EVERY = os.environ.get("UGRBL_TORTURE") is not None  # bytecode, not samples
+_SAMPLES = 40  # about so many bytecodes of a scenario
 _BEFORE_MS = 600  # how long a scenario may take
-_PINS = ("limit_x", "reset", "hold", "probe")
-_STOPS = ("limit_x", "reset", "\x18")
+_PINS = ("limit_x", "reset", "hold", "probe")  # events at input pins; others are bytes
+_STOPS = ("limit_x", "reset", "\x18")  # events after which nothing may move
 _FAST = {110: 3000, 111: 3000, 112: 3000, 120: 500, 121: 500, 122: 500}
 
 
@@ -45,10 +48,11 @@ class Injector:
     def __init__(
         self, functions: "tuple[Any, ...]", at: int = -1, action: Callable[[], None] = lambda: None
     ) -> None:
+        # The code objects, by which a trace function recognises the functions' frames.
         self._codes: set[CodeType] = {function.__code__ for function in functions}
         self._at = at
         self._action = action
-        self.count = 0
+        self.count = 0  # bytecodes executed so far
 
     def __enter__(self) -> "Injector":
         sys.settrace(self._on_call)
@@ -58,6 +62,8 @@ class Injector:
         sys.settrace(None)
 
     def _on_call(self, frame: FrameType, _event: str, _argument: object) -> Any:
+        """Trace a new frame by bytecodes if it belongs to one of the functions (see
+        sys.settrace)."""
         if frame.f_code not in self._codes:
             return None
         frame.f_trace_opcodes = True
@@ -65,6 +71,7 @@ class Injector:
         return self._on_opcode
 
     def _on_opcode(self, _frame: FrameType, event: str, _argument: object) -> Any:
+        """Count a bytecode, and call the action before the chosen one is executed."""
         if event == "opcode":
             if self.count == self._at:
                 self._action()
@@ -161,18 +168,19 @@ class Trial:
     def __init__(self, scenario: Scenario, at: int, act: str) -> None:
         self._scenario = scenario
         self._act = act
+        # $21=1: hard limits. watched: the machine's check of all laws of motion, not needed here.
         self.machine = Machine({**_FAST, 21: 1, **scenario.settings}, watched=False)
         self._injector = Injector(scenario.functions, at, self._inject)
-        self.bytecodes = 0
-        self.place: "list[int] | None" = None
-        self._outputs: "list[str]" = []
+        self.bytecodes = 0  # executed in the scenario
+        self.place: "list[int] | None" = None  # motors' steps at the event; None: no event
+        self._outputs: "list[str]" = []  # those that were on just after the event
 
     def run(self) -> None:
         """Run the scenario, check the laws, and check that the machine works again."""
         self.machine.run(self._script())
 
     def _inject(self) -> None:
-        """Act as an interrupt would."""
+        """Act as an interrupt would, and note position and outputs just after it."""
         rig = self.machine.rig
         if self._act in _PINS:
             rig.port.push({self._act: True})
@@ -188,22 +196,26 @@ class Trial:
         return [name for name in names if getattr(port, name)]
 
     def _script(self) -> Iterator[Any]:
+        """Play the scenario with the event in it; then check the stop, or resume and wait for the
+        end."""
         machine, scenario = self.machine, self._scenario
         rig = machine.rig
         yield from machine.start()
         if scenario.homes:
+            # Limit switches that close at -900 steps.
             rig.engine.switches += [
                 Switch(f"limit_{n}", i, False, -900) for i, n in enumerate("xyz")
             ]
             yield from self._ask("$X")
         with self._injector:
             for line in scenario.lines.split():
-                # Lines after a reset would be executed.
+                # Not after a stop: lines after a reset would be executed.
                 if self.place is None or self._act not in _STOPS:
                     rig.link.send(line.encode() + b"\n")
                 yield rig.ms(20)
             if scenario.byte:
                 rig.link.send(scenario.byte.encode("latin-1"))
+            # Wait for the event, and 30 ms more for its effects.
             until = rig.ms(_BEFORE_MS * (10 if scenario.homes else 1))
             while rig.now < until and self.place is None:
                 yield rig.ms(2)
@@ -212,18 +224,17 @@ class Trial:
         if self._act in _STOPS and self.place is not None:
             yield from self._check()
         else:
-            rig.port.push({"hold": False, "probe": False})
-            yield from machine.rest()
+            rig.port.push({"hold": False, "probe": False})  # open
+            yield from machine.rest()  # resumes after a hold
 
     def _check(self) -> Iterator[Any]:
-        """Check that no further step is made and all outputs are off, and that the machine works
-        after a
-        reset."""
+        """Check that no further step is made, all outputs are off, and a reset makes it work."""
         machine = self.machine
         rig, port = machine.rig, machine.rig.port
         yield rig.ms(600)  # an alarm ignores input for 500
         where = f"{self._scenario.name}, {self._act}, bytecode {self._injector.count}"
         assert machine.physical() == self.place, f"it moved on: {where}"
+        # Off at once, and still off now.
         assert not self._outputs, f"outputs are on: {where}"
         assert not self._on(), f"outputs are on again: {where}"
         rig.engine.switches.clear()
@@ -234,27 +245,31 @@ class Trial:
         before = machine.physical()
         yield from self._ask("G1F900M3S700")
         assert port.spindle_on, f"the spindle is dead: {where}"
-        yield from self._ask("G91G21G94G1X1F900")
+        yield from self._ask("G91G21G94G1X1F900")  # 1 mm: 250 steps
         yield from machine.rest()
         moved = [after - was for after, was in zip(machine.physical(), before, strict=True)]
         assert moved == [250, 0, 0], f"the motors are dead: {where}"
         assert port.spindle_on, f"the spindle has stopped: {where}"
 
     def _ask(self, line: str, answer: str = "ok") -> Iterator[Any]:
+        """Send a line (a reset without line end), and wait up to 2 s for a line with this
+        beginning."""
         rig, machine = self.machine.rig, self.machine
         machine.take()
         rig.link.send(line.encode("latin-1") + (b"" if line == "\x18" else b"\n"))
         until = rig.ms(2000)
-        said: list[str] = []
-        while not any(text.startswith(answer) for text in said):
-            assert rig.now < until, f"{line!r} is answered by {said} in {self._scenario.name}"
+        received: list[str] = []
+        while not any(text.startswith(answer) for text in received):
+            assert rig.now < until, f"{line!r} is answered by {received} in {self._scenario.name}"
             yield rig.ms(5)
-            said += machine.take()
+            received += machine.take()
 
 
 def some(total: int, phase: int) -> range:
-    """Return the bytecodes to try: the phase differs per test, so that together they cover
-    more."""
+    """Return the numbers of the bytecodes to try, of `total`.
+
+    They are every n-th one from `phase` on. It differs per test, so that together they cover more.
+    """
     assert total > _SAMPLES, "the functions are not called"
     step = 1 if _EVERY else max(1, total // _SAMPLES)
     return range(0 if _EVERY else phase % step, total, step)
@@ -281,35 +296,41 @@ def test_nothing_moves_or_turns_after_a_stop(scenario: Scenario, act: str) -> No
 @pytest.mark.parametrize("act", ["!", "hold"], ids=["!", "button"])
 @pytest.mark.parametrize("name", ["start", "turn", "refill", "hold"])
 def test_a_hold_at_any_moment_costs_no_step(name: str, act: str) -> None:
+    """The motors end where they do without an event; Trial resumes after the hold."""
     scenario = next(scenario for scenario in SCENARIOS if scenario.name == name)
-    undisturbed = Trial(scenario, -1, "")
+    undisturbed = Trial(scenario, at=-1, act="")  # -1: no event, bytecodes are counted
     undisturbed.run()
-    for at in some(undisturbed.bytecodes, len(name) + len(act)):
+    for at in some(undisturbed.bytecodes, phase=len(name) + len(act)):
         trial = Trial(scenario, at, act)
         trial.run()
         assert trial.machine.physical() == undisturbed.machine.physical(), f"bytecode {at}"
 
 
 def test_a_probe_contact_at_any_moment_is_recorded_to_the_step() -> None:
+    """[PRB:x,y,z:1] has the position in mm of the contact; the motors' at the event is the same.
+
+    An event before or after the probing leads to an alarm, to [PRB:…:0], or is not reached.
+    """
     scenario = next(scenario for scenario in SCENARIOS if scenario.name == "probing")
-    for at in some(bytecodes(scenario), 3):
+    for at in some(bytecodes(scenario), phase=3):
         trial = Trial(scenario, at, "probe")
         trial.run()
-        said = trial.machine.received
-        found = [line for line in said if line.startswith("[PRB:")]
-        if found and trial.place and found[0].endswith(":1]"):
-            touched = [round(float(x) * 250) for x in found[0][5:-3].split(",")]
-            assert touched == trial.place, f"bytecode {at}: {found}"
+        lines = trial.machine.received
+        results = [line for line in lines if line.startswith("[PRB:")]
+        if results and trial.place and results[0].endswith(":1]"):
+            position_mm = results[0][5:-3].split(",")
+            position_steps = [round(float(mm) * 250) for mm in position_mm]
+            assert position_steps == trial.place, f"bytecode {at}: {results}"
         else:
-            assert "ALARM:4" in said or found or trial.place is None, f"bytecode {at}: {said}"
+            assert "ALARM:4" in lines or results or trial.place is None, f"bytecode {at}: {lines}"
 
 
 def test_a_stop_without_effect_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Proof that the check works, with the fault of an earlier version."""
+    """Proof that the check works, with the fault of an earlier version: a start undid a stop."""
     start = SimEngine.start
 
     def start_anyway(engine: SimEngine) -> None:
-        engine.arm()
+        engine.arm()  # allows motion again after a stop
         start(engine)
 
     monkeypatch.setattr(SimEngine, "start", start_anyway)
@@ -319,8 +340,9 @@ def test_a_stop_without_effect_is_found(monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def test_a_tool_that_stays_on_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Proof that the check works: kill(), which switches all outputs off, does nothing here."""
     monkeypatch.setattr(SimPort, "kill", lambda _port: None)
-    scenario = SCENARIOS[1]
+    scenario = SCENARIOS[1]  # with the spindle on
     with pytest.raises(AssertionError, match="outputs are on"):
         for at in range(0, bytecodes(scenario), 5):
             Trial(scenario, at, "limit_x").run()

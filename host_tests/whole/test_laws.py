@@ -1,4 +1,10 @@
-"""Laws of motion on examples and random programs: planner and segments alone, then the machine."""
+"""Laws of motion on examples and random programs: planner and segments alone, then the machine.
+
+Bench: planner and segments, with support/laws.py watching. bench.line(target in mm, mm/min) plans;
+bench.pull(n) takes n segments, as the engine does; bench.check() takes all and checks every law.
+Machine: the whole simulated machine, with the same watch. machine.play(lines, events) sends lines,
+and each event's bytes at its ms. Settings are given by number: {110: 3000.0} is $110=3000.
+"""
 
 from dataclasses import replace
 from math import cos, pi, sin
@@ -104,6 +110,7 @@ def test_corexy_keeps_every_law_of_its_motors(program) -> None:
 
 @pytest.mark.parametrize("after", [1, 7, 20, 40])
 def test_a_hold_at_any_moment_keeps_every_law(after: int) -> None:
+    """Hold, come to rest and resume after so many segments of a zigzag."""
     bench = Bench(fast)
     zigzag(bench)
     bench.pull(after)
@@ -114,6 +121,7 @@ def test_a_hold_at_any_moment_keeps_every_law(after: int) -> None:
 @pytest.mark.parametrize("feed", [10, 200])
 @pytest.mark.parametrize("after", [1, 7, 20, 40])
 def test_an_override_at_any_moment_keeps_every_law(feed: int, after: int) -> None:
+    """Feed overrides of 10 % and 200 % begin and end after so many segments."""
     bench = Bench(fast)
     zigzag(bench)
     bench.pull(after)
@@ -127,8 +135,8 @@ def test_an_override_too_late_to_brake_for_keeps_every_law() -> None:
     bench = Bench(Limits((80.0,) * 3, (3000.0,) * 3, deviation=0.05))
     bench.line((0.5, 0, 0), 1000)
     bench.line((0.7, 0, 0), 1000)
-    bench.pull(20)
-    bench.override(10)
+    bench.pull(20)  # so many that the tool is fast, and near the end
+    bench.override(10)  # %
     bench.check()
 
 
@@ -136,7 +144,7 @@ def test_an_override_too_late_to_brake_for_keeps_every_law() -> None:
 
 
 def cruising(bench: Bench, axis: int) -> "list[int]":
-    """Return the ticks of the middle half of an axis' pulses."""
+    """Execute everything; return the ticks of the middle half of an axis' pulses, in cruise."""
     bench.finish()
     rows = [(segment.start, segment.row) for segment in bench.watch.made]
     ticks = [tick for tick, _ in pulses(rows, axis)]
@@ -160,6 +168,7 @@ def test_steps_of_a_minor_axis_are_even(minor: float) -> None:
 
 @pytest.mark.parametrize("pieces", [2, 15, 100])
 def test_steps_are_even_across_the_joints_of_a_straight_line(pieces: int) -> None:
+    """A line of 45 mm in pieces: intervals between steps differ by a tick, or by 1 %, at most."""
     bench = Bench(fast)
     for i in range(1, pieces + 1):
         bench.line((40 * i / pieces, 20 * i / pieces, 0), 2000)
@@ -171,6 +180,10 @@ def test_steps_are_even_across_the_joints_of_a_straight_line(pieces: int) -> Non
 
 
 def any_limits(axes: int):
+    """Return a strategy for Limits: steps/mm, rates in mm/min, accelerations in mm/s², junction
+    deviation in mm, the highest step frequency in Hz, and motors as masks of the axes they follow.
+    """
+
     def each(*values):
         return st.tuples(*[st.sampled_from(values)] * axes)
 
@@ -186,6 +199,11 @@ def any_limits(axes: int):
 
 
 def actions(axes: int):
+    """Return a strategy for what a program does to a Bench: a method's name and its arguments.
+
+    "line" has the distances in mm instead of the target, and the feed in mm/min (0: rapid); six of
+    nine actions are lines. "override" has the feed and the rapid override in %.
+    """
     steps = st.one_of(
         *[st.tuples(*[st.floats(-size, size)] * axes) for size in (0.02, 0.5, 4.0)],
         st.tuples(st.floats(-5, 5), *[st.just(0.0)] * (axes - 1)),
@@ -202,12 +220,13 @@ def actions(axes: int):
 @some(40)
 @given(st.data())
 def test_random_programs_keep_every_law(axes: int, data) -> None:
+    """Each action calls the Bench's method of that name."""
     limits = data.draw(any_limits(axes))
     program = data.draw(st.lists(actions(axes), min_size=5, max_size=30))
     bench = Bench(limits)
     place = (0.0,) * axes
     for name, *arguments in program:
-        if name == "line":
+        if name == "line":  # distances become the target
             place = tuple(a + b for a, b in zip(place, arguments[0], strict=True))
             arguments[0] = place
         getattr(bench, name)(*arguments)
@@ -220,19 +239,23 @@ steps = st.floats(-0.3, 0.3).map(lambda x: round(x, 3))
 ways = st.lists(st.tuples(steps, steps, st.sampled_from([300.0, 6000.0, 0.0])), max_size=60)
 
 
-def walk(way):
-    """Yield the positions after moves of these lengths."""
+def walk(moves):
+    """Yield (position in mm, feed) after each of these moves, (dx, dy, feed)."""
     x = y = 0.0
-    for dx, dy, feed in way:
+    for dx, dy, feed in moves:
         x, y = x + dx, y + dy
         yield (x, y, 0.0), feed
 
 
 @some(20)
 @given(ways)
-def test_planning_several_lines_at_once_equals_planning_one_by_one(way) -> None:
+def test_planning_several_lines_at_once_equals_planning_one_by_one(moves) -> None:
+    """The planner adds a line at once, and replans only now and then; catch_up() does it now.
+
+    The ring of 64 blocks is the same in the end. 30 short lines before let it become long.
+    """
     at_once, singly = Bench(Limits(), 64), Bench(Limits(), 64)
-    for place, feed in walk([(0.1, 0.0, 6000.0)] * 30 + way):
+    for place, feed in walk([(0.1, 0.0, 6000.0)] * 30 + moves):
         at_once.line(place, feed)
         check_plan(at_once.watch)
         singly.line(place, feed)
@@ -243,9 +266,10 @@ def test_planning_several_lines_at_once_equals_planning_one_by_one(way) -> None:
 
 @some(20)
 @given(ways, st.integers(1, 40))
-def test_a_long_ring_filled_while_it_empties_keeps_every_law(way, each: int) -> None:
+def test_a_long_ring_filled_while_it_empties_keeps_every_law(moves, each: int) -> None:
+    """A segment is taken after each `each` lines, when 25 have been planned."""
     bench = Bench(Limits(), 64)
-    for i, (place, feed) in enumerate(walk([(0.1, 0.0, 6000.0)] * 40 + way)):
+    for i, (place, feed) in enumerate(walk([(0.1, 0.0, 6000.0)] * 40 + moves)):
         bench.line(place, feed)
         check_plan(bench.watch)
         if i > 25 and i % each == 0:
@@ -254,12 +278,15 @@ def test_a_long_ring_filled_while_it_empties_keeps_every_law(way, each: int) -> 
 
 
 def test_a_long_ring_is_not_replanned_for_each_line() -> None:
-    """While speeding up, each new line would change all earlier entries."""
+    """While speeding up, each new line would change all earlier blocks of the ring.
+
+    So the planner does this pass for the first 15 lines, and then for every fourth.
+    """
     bench = Bench(Limits(), 64)
     passes = 0
     for place, feed in walk([(0.1, 0.0, 6000.0)] * 60):
         bench.line(place, feed)
-        passes += bench.planner.flow[layout.UNPLANNED] == 0
+        passes += bench.planner.flow[layout.UNPLANNED] == 0  # all lines so far are planned
     assert passes == 15 + (60 - 15) // 4
 
 
@@ -298,19 +325,21 @@ def events(bytes_: st.SearchStrategy) -> st.SearchStrategy:
 
 
 def check_position(machine: Machine) -> None:
-    """Check that the report agrees with the motors, and the trace with both."""
+    """Check that the report agrees with the motors, and so do the pulses of the trace."""
     physical = machine.physical()
-    for i, place in enumerate(machine.reported()):
+    for i, reported_mm in enumerate(machine.reported()):
         assert sum(sign for _, sign in pulses(machine.rows, i)) == physical[i]
-        exact = physical[i] / machine.limits.steps_per_mm[i]
-        assert abs(place - exact) <= 0.00051 + abs(exact) * 1e-6
+        exact_mm = physical[i] / machine.limits.steps_per_mm[i]
+        # Three decimals, and the rounding of a 32-bit float.
+        assert abs(reported_mm - exact_mm) <= 0.00051 + abs(exact_mm) * 1e-6
     for i in range(3):
-        check_spacing(list(pulses(machine.rows, i)), machine.watch.tick_hz, 10)
+        check_spacing(list(pulses(machine.rows, i)), machine.watch.tick_hz, pulse_us=10)
 
 
 @some(15)
 @given(machines, st.lists(blocks, min_size=4, max_size=16), events(harmless))
 def test_nothing_is_lost_through_holds_and_overrides(settings_, lines, bytes_) -> None:
+    """Random lines with real-time bytes that discard nothing: steps and position stay right."""
     machine = Machine(settings_)
     machine.play(["G21G91F500", *lines], bytes_)
     check_segments(machine.watch)
@@ -353,6 +382,7 @@ def test_a_stop_during_braking_ends_at_rest(stop: str, at_ms: int) -> None:
 
 
 def test_a_program_ends_at_its_target() -> None:
+    """It returns to 0, with a hold at 120 ms and the resume at 900 ms."""
     machine = Machine({110: 3000.0, 111: 3000.0, 120: 200.0, 121: 200.0})
     machine.play(["G90G1X3Y4F2000", "G2X5Y4I1", "G0X0Y0"], [(120, "!"), (900, "~")])
     check_pulses(machine.watch, machine.rows)
@@ -368,13 +398,15 @@ def test_a_reset_in_motion_keeps_the_steps_made() -> None:
 
 
 def test_a_reset_restores_overrides() -> None:
+    """The same moves, after a reset and from the start, have as many pulses and take as long."""
     waiting = ["G4P9", "(" + 118 * "-" + ")"]  # the next lines are not sent before the reset
     spans = []
+    # At 100 ms: feed three times -10 %, rapids 25 %. At 300 ms: the reset.
     for before, events in ((waiting, [(100, "\x92\x92\x92\x97"), (300, "\x18")]), ([], [])):
         machine = Machine({110: 6000.0, 120: 1000.0})
         machine.play([*before, "G91G1X5F6000", "G0X5"], events)
         ticks = [tick for tick, _ in pulses(machine.rows, 0)]
-        spans.append((len(ticks), ticks[-1] - ticks[0]))
+        spans.append((len(ticks), ticks[-1] - ticks[0]))  # number of pulses, duration
     assert spans[0] == spans[1]
 
 
@@ -382,8 +414,10 @@ def test_a_reset_restores_overrides() -> None:
 
 
 def test_homing_with_bouncing_switches_ends_like_clean_ones() -> None:
+    """Switches close at 500, 700 and 300 steps; the pull-off, $27, is 0.5 mm: 125 steps."""
     places = []
     for bounces in (0, 3):
+        # Homing on; its feed and seek rate; 5 ms for a switch to settle; pull-off.
         machine = Machine({22: 1, 24: 150.0, 25: 1200.0, 26: 5, 27: 0.5, 110: 3000.0, 120: 200.0})
         for axis, (pin, steps) in enumerate(
             (("limit_x", 500), ("limit_y", 700), ("limit_z", 300))
@@ -392,11 +426,15 @@ def test_homing_with_bouncing_switches_ends_like_clean_ones() -> None:
         machine.play(["$H"])
         assert machine.reported() == [-0.5, -0.5, -0.5]
         places.append(machine.physical())
-    assert places[0] == places[1] == [375, 575, 175]
+    assert places[0] == places[1] == [375, 575, 175]  # each switch's steps - 125
 
 
 def test_a_switch_that_bounces_changes_at_every_step_of_its_bounces() -> None:
-    switch = Switch("probe", 0, True, 10, 2)
+    """The simulator's Switch, here at 10 steps: it opens twice more, at 11 and 13.
+
+    crossing(start, end): steps from start until it changes, on the way to end; 0: never.
+    """
+    switch = Switch("probe", axis=0, above=True, steps=10, bounces=2)
     closed = [switch.closed(steps) for steps in range(8, 17)]
     assert closed == [False, False, True, False, True, False, True, True, True]
     at, changes = 0, []

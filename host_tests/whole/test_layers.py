@@ -59,11 +59,13 @@ def module_name(path):
 
 
 def imports(tree):
-    """Yield every imported module, those that only mypy reads too."""
+    """Yield the name of every imported module, including imports for mypy only."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
+            # `from folder import a` imports the module folder.a, `from module import a` the
+            # module.
             assert node.level == 0, "no relative imports: a stranger is to see the folder"
             parent = FIRMWARE / node.module.replace(".", "/")
             names = [f"{node.module}.{alias.name}" for alias in node.names]
@@ -85,15 +87,17 @@ def typing_only(used):
 
 
 def may_import(module, used):
-    layer, other = module.partition(".")[0], used.partition(".")[0]
-    if typing_only(used) or layer == other:
+    """Return whether a module of firmware/ may import another one. LAYERS: a folder's lower
+    ones."""
+    folder, used_folder = module.partition(".")[0], used.partition(".")[0]
+    if typing_only(used) or folder == used_folder:
         return True
     if used == BOARD_FILE:
-        return layer == "boot"
-    if other in LAYERS:
-        return other in LAYERS[layer]
+        return folder == "boot"
+    if used_folder in LAYERS:
+        return used_folder in LAYERS[folder]
     return used in MICROPYTHON and (
-        used not in HARDWARE or layer in PORTS or module == LIBRARY_PINS
+        used not in HARDWARE or folder in PORTS or module == LIBRARY_PINS
     )
 
 
@@ -102,6 +106,7 @@ def test_every_folder_has_a_place_in_the_layers():
 
 
 def test_a_module_imports_only_from_lower_layers():
+    """refused: by module, the imports that may_import() does not allow."""
     refused = {
         module: wrong
         for module, names in all_imports().items()
@@ -111,7 +116,11 @@ def test_a_module_imports_only_from_lower_layers():
 
 
 def circles(imports):
-    """The modules that are left when those go, again and again, that import none of them."""
+    """Return the modules on circles of imports, and those that import them.
+
+    Modules that import none of those left are removed, again and again, until there are none.
+    imports: the modules that each one uses.
+    """
     left = {module: used & imports.keys() for module, used in imports.items()}
     while ends := [module for module, used in left.items() if not used & left.keys()]:
         for module in ends:
@@ -138,22 +147,27 @@ def length(node):
 
 
 def too_long(trees, tables=False):
-    """Functions of more than 60 lines; files of more than 400, where tables may not count."""
-    found = {}
+    """Return functions of more than 60 lines and files of more than 400, with their lines.
+
+    trees: a parsed tree by path. tables: lines of tables at the top level do not count.
+    """
+    lines_of = {}
     for path, tree in trees.items():
         for node in ast.walk(tree):
             if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)) and length(node) > 60:
-                found[f"{path}: {node.name}"] = length(node)
-        free = (
+                lines_of[f"{path}: {node.name}"] = length(node)
+        table_lines = (
             length(node)
             for node in tree.body
             if isinstance(node, (ast.Assign, ast.AnnAssign))
             and isinstance(node.value, (ast.Tuple, ast.Dict, ast.List))
         )
-        lines = len(path.read_text(encoding="utf-8").splitlines()) - (sum(free) if tables else 0)
+        lines = len(path.read_text(encoding="utf-8").splitlines()) - (
+            sum(table_lines) if tables else 0
+        )
         if lines > 400:
-            found[str(path)] = lines
-    return found
+            lines_of[str(path)] = lines
+    return lines_of
 
 
 def test_no_method_is_put_in_the_place_of_another():
@@ -168,17 +182,20 @@ def test_no_two_modules_have_one_name():
 
 
 def test_nothing_is_made_of_more_than_six_others():
-    """Who needs more is given the machine."""
-    found = {
-        f"{module_name(path)}: {made.name}": len(method.args.args) - 1
+    """A class that needs more objects than six gets the whole machine instead.
+
+    Counted are the parameters of __init__() and connect(), without self.
+    """
+    parameters = {
+        f"{module_name(path)}: {class_.name}": len(method.args.args) - 1
         for path, tree in trees().items()
-        for made in ast.walk(tree)
-        if isinstance(made, ast.ClassDef)
-        for method in made.body
+        for class_ in ast.walk(tree)
+        if isinstance(class_, ast.ClassDef)
+        for method in class_.body
         if isinstance(method, ast.FunctionDef) and method.name in ("__init__", "connect")
     }
-    assert found, "there are constructors"
-    assert {name: count for name, count in found.items() if count > 6} == {}
+    assert parameters, "there are constructors"
+    assert {name: count for name, count in parameters.items() if count > 6} == {}
 
 
 CORE = ("base", "motion", "control", "language", "talk")
@@ -193,23 +210,27 @@ _SHARED = "__init__ api cycles events handlers kinematics laser motors net posit
 
 
 def words_of_extras():
-    """What finds them: their words, and the names of their modules and folders."""
+    """Return a pattern for words of extras: those in _GUESTS, and names of modules and folders.
+
+    _SHARED: names that the core uses in another sense; each must still be an extra's.
+    """
     paths = [path.relative_to(FIRMWARE / "extras") for path in FILES if "extras" in path.parts]
     names = {part.removesuffix(".py") for path in paths for part in path.parts}
     assert set(_SHARED) <= names, "no more is let pass than there is"
-    rest = r"|".join(sorted(map(re.escape, names - set(_SHARED))))
-    return re.compile(f"{_GUESTS}|{rest}", re.IGNORECASE)
+    own_names = r"|".join(sorted(map(re.escape, names - set(_SHARED))))
+    return re.compile(f"{_GUESTS}|{own_names}", re.IGNORECASE)
 
 
 def test_the_core_has_never_heard_of_an_extra():
+    """No file of the core contains a word of an extra, in code or comments."""
     words = words_of_extras()
-    found = {
-        str(file.relative_to(FIRMWARE)): heard
+    words_in_file = {
+        str(file.relative_to(FIRMWARE)): hits
         for file in FILES
         if module_name(file).split(".")[0] in CORE
-        and (heard := words.findall(file.read_text(encoding="utf-8")))
+        and (hits := words.findall(file.read_text(encoding="utf-8")))
     }
-    assert not found
+    assert not words_in_file
 
 
 def test_words_of_extras_are_found_in_names_comments_and_texts():
@@ -235,7 +256,7 @@ DECODES = {"base.text": 1, "ports.storage.flash_store": 1}
 
 
 def decodings(tree):
-    """What makes text of bytes: x.decode(), str(x, …), and reading a file opened as text."""
+    """Yield the nodes that make text of bytes: x.decode(), str(x, …), open() of a text file."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Attribute) and node.attr == "decode":
             yield node

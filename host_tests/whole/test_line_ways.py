@@ -23,10 +23,13 @@ def test_the_table_matches_the_docs() -> None:
 
 
 def test_a_custom_word_goes_to_its_handler() -> None:
-    """Through custom_codes.py, after motion has ended."""
-    found = printed("M100")
+    """Through custom_codes.py, after motion has ended: these functions are called in this order.
+
+    line_ways.py prints a row for each function that a line passes through.
+    """
+    rows = printed("M100")
     order = ["custom_codes.py: execute", "canon.py: synchronise", "runner.py: run"]
-    places = [next(i for i, row in enumerate(found) if row.endswith(name)) for name in order]
+    places = [next(i for i, row in enumerate(rows) if row.endswith(name)) for name in order]
     assert places == sorted(places)
 
 
