@@ -131,12 +131,16 @@ _FAILS = (_raises, _has_no_memory)
 
 
 class Shelf:
-    """A Store on a flash chip. Power fails in the save of persistent values number `at`."""
+    """A Store on a flash chip. Power fails in the save of persistent values number `at`.
+
+    saves: number of saves of persistent values so far. They have one value, "count".
+    """
 
     def __init__(self, rig: Rig, monkeypatch: pytest.MonkeyPatch, at: int, random: Random) -> None:
+        """Start with the chip of _image(). at: 0: power never fails."""
         self.saves = 0
-        self.may_hold = {0}  # counts; any of them is right
-        self.has_failed = False
+        self.may_hold = {0}  # counts that may be stored; after a power failure, the old or the new
+        self.has_failed = False  # power
         self._rig = rig
         self._monkeypatch = monkeypatch
         self._at = at
@@ -144,6 +148,7 @@ class Shelf:
         self._put_in(_image())
 
     def _put_in(self, image: bytes) -> None:
+        """Replace the chip by one with these bytes, and read its files."""
         self._flash = Flash(image)
         self._store = attach(self._monkeypatch, self._flash)
         self.damaged = self._store.damaged
@@ -152,22 +157,23 @@ class Shelf:
         return self._store.load(name)
 
     def save(self, name: str, lines: "Iterable[str]") -> None:
+        """Save a file. At save `at` of "keep", power fails after a random byte: PowerOff."""
         kept = list(lines)
         before = bytes(self._flash.buffer)
         self._flash.log.clear()
         self._store.save(name, kept)
         if name != "keep":
             return
-        count = {value for _, value in map(json.loads, kept)}
+        count = {value for _, value in map(json.loads, kept)}  # a set with the one value
         self.saves += 1
         if self.saves != self._at:
             self.may_hold = count
             return
         self.may_hold |= count
-        log = self._flash.log
-        whole = self._random.randrange(len(log))
-        torn = self._random.randrange(len(log[whole][1]) + 1)
-        self._put_in(cut(before, log, whole, torn))
+        log = self._flash.log  # operations of this save: (address, bytes)
+        complete = self._random.randrange(len(log))
+        bytes_of_next = self._random.randrange(len(log[complete][1]) + 1)
+        self._put_in(cut(before, log, complete, bytes_of_next))
         self.has_failed = True
         self._rig.cycle_power()
         raise PowerOff
@@ -197,6 +203,7 @@ class Session:
     def __init__(
         self, board: ModuleType, monkeypatch: pytest.MonkeyPatch, file: Path, seed: int, at: int
     ) -> None:
+        """Power up with _CUSTOM in this file. seed: chooses the kind of fault and its details."""
         self.random = Random(seed)
         self.inject = _KINDS[seed % len(_KINDS)]
         self.file = file
@@ -207,18 +214,19 @@ class Session:
         )
         self.sender = Sender(self.rig)
         self.sender.allow(60_000)
-        self.calls = 0
+        self.calls = 0  # of methods of m by handlers
         self.is_injected = False
-        self._is_done = False
+        self._is_done = False  # all lines are played: nothing is injected any more
         self._call = at if self.inject else 0
-        self.said: list[str] = []
+        self.said: list[str] = []  # lines received
 
     def play(self, monkeypatch: pytest.MonkeyPatch) -> None:
         """Play from power-up to a last move after all others, and check all laws."""
 
         def look(operator: MachineApi) -> None:
-            whose = sys._getframe(1).f_code.co_filename
-            if not self._is_done and not whose.endswith(
+            """Count this call, and inject the fault if it is the chosen one."""
+            caller_file = sys._getframe(1).f_code.co_filename
+            if not self._is_done and not caller_file.endswith(
                 "runner.py"
             ):  # only calls of handlers count
                 self.calls += 1
@@ -233,6 +241,7 @@ class Session:
             self.rig.run(self._script())
 
     def _script(self) -> "Iterator[Any]":
+        """Send _LINES until the machine stops, reset, and check outputs, motion and the count."""
         wait = self.sender.wait
         yield from wait("banner", "")
         for line in _LINES:
@@ -247,7 +256,7 @@ class Session:
         port = self.rig.port
         assert (port.own_outputs, port.spindle_pwm) == (0, 0), "an output is on after a reset"
         yield from self._go_on()
-        yield from wait("ms 100", "M102\n")
+        yield from wait("ms 100", "M102\n")  # reports the stored count
         assert self.sender.take() in [[f"[MSG:kept {n}]", "ok"] for n in self.shelf.may_hold]
         if self.inject is _is_cut_short:
             self.rig.cycle_power()
@@ -264,15 +273,16 @@ class Session:
         before = self._steps()
         yield from wait("idle", "G91G1X2Y-1F3000\n")
         moved = [b - a for a, b in zip(before, self._steps(), strict=True)]
-        assert moved == [500, -250, 0], f"the next move is {moved}"
+        assert moved == [500, -250, 0], f"the next move is {moved}"  # steps: 2 mm, -1 mm
         self.sender.take()
         yield from wait("ms 20", "?")
         (report,) = [line for line in self.sender.take() if line.startswith("<")]
-        told = [float(mm) for mm in report.partition("MPos:")[2].split("|")[0].split(",")]
-        made = [step / _STEPS_PER_MM for step in self._steps()]
-        assert told == pytest.approx(made, abs=0.0011), "the reported position is wrong"
+        reported_mm = [float(mm) for mm in report.partition("MPos:")[2].split("|")[0].split(",")]
+        made_mm = [step / _STEPS_PER_MM for step in self._steps()]
+        assert reported_mm == pytest.approx(made_mm, abs=0.0011), "the reported position is wrong"
 
     def _line(self, line: str) -> "Iterator[Any]":
+        """Send a line, give it 400 ms, and end a hold; collect the replies."""
         try:
             yield from self.sender.wait("ms 400", line + "\n")
             if self.rig.controller.state.run == st.HOLD:
@@ -283,14 +293,14 @@ class Session:
 
     def look_at_words(self) -> None:
         """Check that a failure was reported with file and line, and a slow handler by name."""
-        told = [line for line in self.said if self.file.name in line]
+        messages = [line for line in self.said if self.file.name in line]
         if self.inject in _FAILS:
-            assert any(f"{self.file.name}, line " in line for line in told), "no file and line"
+            assert any(f"{self.file.name}, line " in line for line in messages), "no file and line"
             assert not [line for line in self.said if line.startswith("error:")]
         if self.inject is _is_slow:
             assert any("ms without calling" in line for line in self.said)
         if self.inject is _is_cut_short and not _is_python(self.file.read_text()):
-            assert told, "a file that cannot be read"
+            assert messages, "a file that cannot be read"
 
     def _is_over(self) -> bool:
         return any(text.startswith(("ALARM", "Grbl")) for text in self.said[3:])
@@ -301,6 +311,7 @@ class Session:
 
 
 def _is_python(text: str) -> bool:
+    """Return whether the text compiles."""
     try:
         compile(text, "", "exec")
     except SyntaxError:
@@ -310,6 +321,7 @@ def _is_python(text: str) -> bool:
 
 @pytest.fixture
 def board(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """Return a board on the simulator whose custom.py is custom_injected.py in tmp_path."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setattr(sys, "dont_write_bytecode", True)
@@ -324,15 +336,19 @@ def board(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 def test_no_step_is_lost_and_every_fault_is_reported(
     board: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, part: int
 ) -> None:
+    """Play a session without a fault, to count calls and saves, then this part of all sessions.
+
+    Each injects one fault at a random call of m, or power fails in a random save.
+    """
     file = tmp_path / f"{board.CUSTOM}.py"
-    whole = Session(board, monkeypatch, file, 0, 0)
-    whole.play(monkeypatch)
-    assert whole.calls > 100 and not any("ALARM" in line for line in whole.said)
-    assert whole.shelf.saves == 2
+    faultless = Session(board, monkeypatch, file, seed=0, at=0)
+    faultless.play(monkeypatch)
+    assert faultless.calls > 100 and not any("ALARM" in line for line in faultless.said)
+    assert faultless.shelf.saves == 2  # one for each M100
     for number in range(part, _SESSIONS, _PARTS):
         is_call = _KINDS[number % len(_KINDS)] is not None
-        at = Random(number).randint(1, whole.calls if is_call else whole.shelf.saves)
-        session = Session(board, monkeypatch, file, number, at)
+        at = Random(number).randint(1, faultless.calls if is_call else faultless.shelf.saves)
+        session = Session(board, monkeypatch, file, seed=number, at=at)
         try:
             session.play(monkeypatch)
             assert session.is_injected or session.shelf.has_failed

@@ -49,14 +49,17 @@ class Paper:
 
 
 def converse(*talk: "tuple[str, str]", board: str = "sim_09j") -> "list[list[str]]":
-    """Send each text and wait as given; return the replies to each."""
+    """Send each text and wait as given; return the replies to each.
+
+    talk: (text, how): "ok", "report", "banner", or "ms 60" for 60 ms; see Sender.wait().
+    """
     module = load_board(board)
     rig = Rig(module, factory_store(module))
     sender = Sender(rig)
     replies = []
 
     def script() -> Iterator[Any]:
-        sender.allow(600_000)
+        sender.allow(600_000)  # ms
         yield from sender.wait("banner", "")
         sender.take()
         for text, how in talk:
@@ -88,6 +91,7 @@ def test_unknown_dialect_is_refused_with_the_reason() -> None:
 
 
 def test_default_board_loads_neither_dialects_nor_tools() -> None:
+    """A fresh interpreter reads the options of a board without any, and lists its modules."""
     program = (
         f"import sys; sys.path[:0] = [{str(STANDINS)!r}, {str(_FIRMWARE)!r}]\n"
         "from types import SimpleNamespace\n"
@@ -98,19 +102,22 @@ def test_default_board_loads_neither_dialects_nor_tools() -> None:
 
 
 def test_only_known_modules_mention_dialects() -> None:
-    knowing = [
+    """No other file of the firmware names a dialect or 0.9: the dialects are separate modules."""
+    naming = [
         path.relative_to(_FIRMWARE).as_posix()
         for path in sorted(_FIRMWARE.rglob("*.py"))
         if re.search(r"dialect(?!s\.)|0\.9[ij]?\b", path.read_text(), re.IGNORECASE)
     ]
     extras = {"extras/api.py", "extras/custom_codes.py", "extras/tools/punch.py"}
     extras |= {f"extras/dialects/{name}.py" for name in ("dialect_09", "dialect_hal")}
-    # The option's name, @ in 0.9, and a comment.
+    # These have the option's name, the byte @ of 0.9, and a comment.
     others = {"boot/select_extras.py", "base/state.py", "talk/report.py"}
-    assert set(knowing) <= extras | others
+    assert set(naming) <= extras | others
 
 
 def test_dialect_has_every_method_of_1_1() -> None:
+    """Report09 overrides methods of Report, and adds no public ones. VERSION and the tables of
+    texts are its own."""
     public = {name for name in vars(Report) if name[0] != "_"}
     assert {name for name in vars(Report09) if name[0] != "_"} <= public | {
         "VERSION",
@@ -134,23 +141,28 @@ def report(paper: Paper) -> Report09:
 
 @pytest.mark.parametrize("code", error_words())
 def test_every_error_has_its_text_or_number(code: int, report: Report09, paper: Paper) -> None:
+    """0.9 has texts for old errors; from GCODE_COMMAND_VALUE_NOT_INTEGER on, numbers.
+
+    error_words() are all codes that our tools know, meaning() is their text for such a line.
+    """
     report.error(code)
     line = paper.line()
     assert line.startswith("error: ") and line.endswith("\r\n")
-    assert line[7:-2] == meaning(line[:-2])
+    assert line[7:-2] == meaning(line[:-2])  # without "error: " and the line end
     if code >= errors.GCODE_COMMAND_VALUE_NOT_INTEGER:
         assert line == f"error: Invalid gcode ID:{code}\r\n"
 
 
 @pytest.mark.parametrize("code", alarms())
 def test_every_alarm_has_a_text(code: int, report: Report09, paper: Paper) -> None:
+    """The alarms of 0.9 have a text in the dialect. Newer ones, listed here, are sent as ID:n."""
     report.alarm(code)
     assert paper.line() == f"ALARM: {_ALARMS.get(code, f'ID:{code}')}\r\n"
     ours = (errors.ALARM_INTERNAL, errors.ALARM_EMERGENCY_STOP)
     added = (errors.ALARM_HANDLER, errors.ALARM_DRIVER)
-    # Their extras have the texts.
-    brought = (ALARM_PUNCH_DOWN, ALARM_PUNCH_UP, ALARM_POWER_FAIL)
-    assert code in _ALARMS or code in ours + added + brought
+    # These have their text in the extra that raises them.
+    of_extras = (ALARM_PUNCH_DOWN, ALARM_PUNCH_UP, ALARM_POWER_FAIL)
+    assert code in _ALARMS or code in ours + added + of_extras
 
 
 def test_every_setting_has_a_text() -> None:
@@ -162,6 +174,7 @@ def test_every_setting_has_a_text() -> None:
 
 
 def test_commands_of_1_1_are_bad_numbers_or_statements() -> None:
+    """0.9 takes $ and a letter for $number=value; $32 (laser mode) is no setting of it."""
     replies = converse(("$J=X1F100\n", "ok"), ("$SLP\n", "ok"), ("$S\n", "ok"), ("$32=1\n", "ok"))
     assert replies == [
         ["error: Bad number format"],
@@ -173,6 +186,7 @@ def test_commands_of_1_1_are_bad_numbers_or_statements() -> None:
 
 @given(some.integers(0x80, 0xFF))
 def test_upper_bytes_are_ordinary_characters(byte: int) -> None:
+    """Bytes from 0x80 on are real-time commands in 1.1, such as overrides, but not in 0.9."""
     replies = converse((chr(byte) + "\n", "ok"), ("?", "report"), (f"G0X0{chr(byte)}1\n", "ok"))
     assert replies[0] == ["error: Expected command letter"]
     assert replies[1] == ["<Idle,MPos:0.000,0.000,0.000,WPos:0.000,0.000,0.000>"]
@@ -180,6 +194,7 @@ def test_upper_bytes_are_ordinary_characters(byte: int) -> None:
 
 
 def test_door_is_at_in_0_9_and_a_character_in_1_1() -> None:
+    """The real-time byte @ opens the safety door in 0.9. Its state is reported as Hold."""
     said, report, _ = converse(("@", "ms 60"), ("?", "report"), ("~", "ms 60"))
     assert said == ["[Check Door]"]
     assert report == ["<Hold,MPos:0.000,0.000,0.000,WPos:0.000,0.000,0.000>"]
@@ -191,9 +206,10 @@ def test_door_is_at_in_0_9_and_a_character_in_1_1() -> None:
     [(79, ["error: Invalid gcode ID:25"]), (80, ["error: Line overflow", "ok"])],
 )
 def test_line_longer_than_the_buffer_is_split(length: int, reply: "list[str]") -> None:
+    """79 characters fit: X is repeated, error 25. With 80, the rest is a line of its own."""
     line = ("G0" + "X0" * 40)[:length]
     if length == 79:
-        line = line[:-1] + "0"
+        line = line[:-1] + "0"  # in place of an X without a number
     assert converse((line + "\n", "ms 60")) == [reply]
 
 
@@ -210,6 +226,7 @@ def test_tool_word_is_read_and_ignored() -> None:
 
 @pytest.mark.parametrize("mask", range(32))
 def test_each_bit_of_the_mask_shows_one_field(mask: int) -> None:
+    """The bits of $10 are, from the lowest: MPos, WPos, Buf, RX, Lim."""
     shown = converse((f"$10={mask}\n", "ok"), ("?", "report"))[1]
     place = "0.000,0.000,0.000"
     fields = [f"MPos:{place}", f"WPos:{place}", "Buf:0", "RX:0", "Lim:000"]
@@ -218,12 +235,16 @@ def test_each_bit_of_the_mask_shows_one_field(mask: int) -> None:
 
 
 def test_buffers_report_the_used_space() -> None:
+    """Four moves are in the planner (Buf). RX are bytes of an unfinished line, as Grbl counts."""
     lines = "".join(f"G1X{x / 10}F100\n" for x in range(1, 5))
+    # $10=12: only Buf and RX. The ? comes within the line "G1X", which has 3 bytes.
     replies = converse(("$10=12\n", "ok"), (lines, "ok"), ("G1X?", "report"))
+    # The 3 bytes may have been read already.
     assert replies[2] == ["<Run,Buf:4,RX:0>"] or replies[2] == ["<Run,Buf:4,RX:3>"]
 
 
 def test_line_numbers_are_reported_if_the_board_has_them() -> None:
+    """The field Ln is the last one, even with all others switched off ($10=0)."""
     board = load_board("sim_09j")
     board.LINE_NUMBERS = True
     try:

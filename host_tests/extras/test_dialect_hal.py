@@ -45,6 +45,7 @@ class Talk:
         self.sender = Sender(self.rig)
 
     def ask(self, text: str, how: str = "ok") -> "Generator[Any, None, list[str]]":
+        """Send text, wait as Sender.wait() does, and return the lines received."""
         yield from self.sender.wait(how, text)
         return [line for line in self.sender.take() if line]
 
@@ -54,7 +55,10 @@ class Talk:
 
 @pytest.fixture
 def converse(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Switch a machine on, wait for its welcome, and run a conversation."""
+    """Return a function run(steps, **options of the board).
+
+    It switches a machine on, waits for its welcome, and runs steps(talk) with a Talk.
+    """
 
     def run(steps: Any, **options: Any) -> Talk:
         machine = board(**options)
@@ -74,15 +78,18 @@ def converse(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 def only(lines: list[str], start: str) -> str:
-    found = [line for line in lines if line.startswith(start)]
-    assert len(found) == 1, lines
-    return found[0]
+    """Return the one line that begins so."""
+    matches = [line for line in lines if line.startswith(start)]
+    assert len(matches) == 1, lines
+    return matches[0]
 
 
 # Connection
 
 
 def test_gsender_connects(converse: Any) -> None:
+    """The requests that gSender sends when it connects, each answer matched by its patterns."""
+
     def firmware(line: str) -> str:
         """Return the firmware that a line names; the first one decides over A words."""
         for word in ("grblhal", "grbl", "fluidnc"):
@@ -96,8 +103,9 @@ def test_gsender_connects(converse: Any) -> None:
         lines = yield from talk.ask("$I\n")
         assert next(filter(None, map(firmware, lines))) == "grblhal"
         (report,) = yield from talk.ask("\x87", "report")
-        state, rest = re.fullmatch(r"<(\w+)(?::\d*)?\|(.*\|FW:grblHAL)>", report).groups()
-        fields = dict(field.split(":") for field in rest.split("|"))
+        # \x87 requests a full report: all fields, at any time.
+        state, field_texts = re.fullmatch(r"<(\w+)(?::\d*)?\|(.*\|FW:grblHAL)>", report).groups()
+        fields = dict(field.split(":") for field in field_texts.split("|"))
         assert state == "Idle" and fields["T"] == "0" and "SD" not in fields
         assert fields["WCO"] == fields["MPos"] == "0.000,0.000,0.000"
         assert fields["Ov"] == "100,100,100"
@@ -109,7 +117,8 @@ def test_gsender_connects(converse: Any) -> None:
         assert build > 20250627  # settings by their current numbers, and $spindlesh
         assert re.fullmatch(r"\[AXS:(.+)\]", only(lines, "[AXS"))[1] == "3:XYZ"
         settings = yield from talk.ask("$$\n")
-        numbers = {int(line[1:].split("=")[0]) for line in settings[:-1]}
+        numbers = {int(line[1:].split("=")[0]) for line in settings[:-1]}  # of $110=500: 110
+        # Descriptions: settings, their details, groups, alarms, errors; then offsets.
         lines = yield from talk.ask("$ES\n$ESH\n$EG\n$EA\n$EE\n$#\n")
         assert lines.count("ok") == 6 and not [line for line in lines if "error:" in line]
         described = {
@@ -134,6 +143,8 @@ def test_gsender_connects(converse: Any) -> None:
 
 
 def test_iosender_connects(converse: Any) -> None:
+    """The requests that ioSender sends when it connects, each answer read as it reads them."""
+
     def steps(talk: Talk) -> Steps:
         (report,) = yield from talk.ask("\x87", "report")
         assert "FW:grblHAL" in report.rstrip(">").split("|")
@@ -159,25 +170,28 @@ def test_iosender_connects(converse: Any) -> None:
         assert (yield from talk.ask("$#\n"))[-1] == "ok"
         lines = yield from talk.ask("$SPINDLESH\n")
         assert len(lines[0].rstrip("]").split("|")) == 6 and lines[1:] == ["ok"]
-        for question in "\x87?\x80":
+        for question in "\x87?\x80":  # full report, report, and grblHAL's byte for ?
             assert len((yield from talk.ask(question, "report"))) == 1
 
     converse(steps)
 
 
 def test_options_of_the_board_are_reported(converse: Any, tmp_path: Path) -> None:
+    """A board with a rotary axis A and a folder with jobs; homing and laser are switched on."""
+
     def steps(talk: Talk) -> Steps:
         yield from talk.ask("$22=1\n")
         lines = yield from talk.ask("$I\n")
         assert "[NEWOPT:ENUMS,HOME,SD]" in lines and "[AXS:4:XYZA]" in lines
         yield from talk.ask("G43.1Z-2\nT3\n")
+        # A tool length is active: G43.1 in place of G49.
         assert " G43.1 M5" in (yield from talk.ask("$G\n"))[0]
         (report,) = yield from talk.ask("\x87", "report")
         assert report.endswith("|WCO:0.000,0.000,-2.000,0.000|T:3|SD:1|FW:grblHAL>")
         lines = yield from talk.ask("$FM\n$F\n$F+\n")
         assert lines.count("ok") == 3
         lines = yield from talk.ask("$32=1\n$SPINDLESH\n")
-        assert lines[1] == "[SPINDLE:0|0|0|*DLV|PWM|0,1000]"
+        assert lines[1] == "[SPINDLE:0|0|0|*DLV|PWM|0,1000]"  # L: laser
         lines = yield from talk.ask("$ES\n")
         assert only(lines, "[SETTING:103|") == (
             "[SETTING:103|46|Steps per degree A|step/deg|6|#####0.000|0||0|0]"
@@ -198,12 +212,13 @@ def test_a_words_move_the_a_axis(converse: Any) -> None:
 
 
 def test_text_rows_fit_into_lines() -> None:
+    """The file hal.txt has a line per description. No text may look like an answer to a sender."""
     rows = hal_texts.made(board(TOOL="punch"))[hal_texts.name()].split(b"\r\n")
     assert rows.pop() == b""
     for row in rows:
         assert len(row) < 400 and row.isascii() and b"\n" not in row
         assert not re.search(rb"\b(ok|error)\b", row), row
-    assert not hal_texts.made(load_board("sim"))
+    assert not hal_texts.made(load_board("sim"))  # a board of another dialect has no such file
     assert any(row.startswith(b"ES 30 [SETTING:30|6|Punch") for row in rows), "the punch's own"
 
 
@@ -225,6 +240,8 @@ def test_unknown_commands_are_refused(converse: Any) -> None:
 
 
 def test_reading_commands_are_answered_in_motion(converse: Any) -> None:
+    """A move of 2 s runs; senders ask for descriptions at any time."""
+
     def steps(talk: Talk) -> Steps:
         yield from talk.ask(_FAST)
         yield from talk.ask("G1X20F600\n", "ok")
@@ -242,7 +259,7 @@ def test_unanswered_bytes_of_gsender_are_not_lost(converse: Any) -> None:
     def steps(talk: Talk) -> Steps:
         yield from talk.ask("G1 X5 F600\n")
         sent = "".join(lines)[:724].rpartition("\n")[0] + "\n"
-        talk.rig.link.send(sent.encode())
+        talk.rig.link.send(sent.encode())  # all at once, during the move
         count = sent.count("\n")
         yield from talk.sender.until(lambda: talk.sender.answers >= count)
         assert [line for line in talk.sender.take() if line] == ["ok"] * count
@@ -254,6 +271,8 @@ def test_unanswered_bytes_of_gsender_are_not_lost(converse: Any) -> None:
 
 
 def test_bytes_of_grblhal_act_like_those_of_grbl(converse: Any) -> None:
+    """In grblHAL, 0x82 is !, 0x80 is ?, 0x81 is ~, and 0x87 a full report."""
+
     def steps(talk: Talk) -> Steps:
         yield from talk.ask(_FAST)
         yield from talk.ask("G1X20F1200\n", "ok")
@@ -266,6 +285,8 @@ def test_bytes_of_grblhal_act_like_those_of_grbl(converse: Any) -> None:
 
 
 def test_other_bytes_of_grblhal_are_ignored(converse: Any) -> None:
+    """Each of them is sent within a line, which is executed as if they were not there."""
+
     def steps(talk: Talk) -> Steps:
         for x, byte in enumerate("\x83\x86\x88\x89\x8a\x8b\x8c\xa2\xa3\xa4\xb0\xc2\x05\x14\x1b"):
             assert (yield from talk.ask(f"G0{byte}X{x}{byte}\n", "idle")) == ["ok"]
@@ -275,6 +296,8 @@ def test_other_bytes_of_grblhal_are_ignored(converse: Any) -> None:
 
 
 def test_byte_sent_as_utf_8_acts(converse: Any) -> None:
+    """Some senders encode the byte 0x85, jog cancel, as UTF-8: 0xC2 0x85. It ends the jog."""
+
     def steps(talk: Talk) -> Steps:
         yield from talk.ask(_FAST)
         yield from talk.ask("$J=X50F1200\n", "ok")
@@ -288,21 +311,25 @@ def test_byte_sent_as_utf_8_acts(converse: Any) -> None:
 
 @pytest.mark.parametrize("lines", ["G1X50F1200\nG1X60\n", "$1=255\nG1X50F1200\n", "$J=X50F1200\n"])
 def test_stop_ends_motion_and_keeps_the_position(lines: str, converse: Any) -> None:
+    """grblHAL's stop, 0x19, decelerates, then resets: no alarm, spindle off, idle."""
+
     def steps(talk: Talk) -> Steps:
         yield from talk.ask(_FAST + "M3S500\n")
         yield from talk.ask(lines, "ok")
         assert (yield from talk.after(500, "\x19")) == [_WELCOME]
         (report,) = yield from talk.ask("?", "report")
         assert report.startswith("<Idle") and "FS:0,0" in report
-        place = float(re.search(r"MPos:([\d.]+)", report)[1])
-        assert 0 < place < 50
-        (after,) = yield from talk.after(500, "?")
-        assert f"MPos:{place:.3f}" in after
+        x_mm = float(re.search(r"MPos:([\d.]+)", report)[1])
+        assert 0 < x_mm < 50
+        (later_report,) = yield from talk.after(500, "?")
+        assert f"MPos:{x_mm:.3f}" in later_report
 
     converse(steps)
 
 
 def test_stop_while_idle_ends_a_hold_and_check_mode(converse: Any) -> None:
+    """The stop is 0x19; nothing moves here, so no deceleration precedes its reset."""
+
     def steps(talk: Talk) -> Steps:
         yield from talk.after(60, "!")
         yield from talk.after(60, "\x19")
@@ -315,7 +342,8 @@ def test_stop_while_idle_ends_a_hold_and_check_mode(converse: Any) -> None:
 
 
 def test_stop_ends_homing_at_once(converse: Any) -> None:
-    """Homing ignores a hold, and the position is lost as by a reset."""
+    """The stop (0x19) cannot decelerate like a hold, which homing ignores: the motors stop at
+    once, and the position is lost as by a reset (alarm 6)."""
 
     def steps(talk: Talk) -> Steps:
         yield from talk.ask(_FAST)
@@ -331,14 +359,16 @@ def test_stop_ends_homing_at_once(converse: Any) -> None:
 
 
 def test_stop_ends_parking_at_once(converse: Any) -> None:
+    """The stop (0x19) comes while the spindle is retracted after the door (0x84) has opened."""
+
     def steps(talk: Talk) -> Steps:
         yield from talk.ask(_FAST)
         yield from talk.after(300, "$22=1\n$132=200\n")
-        yield from talk.ask("M3S500G0Z-90\n", "idle")
+        yield from talk.ask("M3S500G0Z-90\n", "idle")  # deep, so that parking takes long
         yield from talk.ask("G1X50F600\n", "ok")
         yield from talk.after(300)
         yield from talk.after(300, "\x84")
-        assert talk.rig.controller.state.system_motion
+        assert talk.rig.controller.state.system_motion  # the parking move runs
         assert (yield from talk.after(50, "\x19"))[0] == "ALARM:3"
         assert talk.rig.engine.idle()
 
@@ -346,20 +376,24 @@ def test_stop_ends_parking_at_once(converse: Any) -> None:
 
 
 def test_stop_ends_jogs_that_are_still_waiting(converse: Any) -> None:
+    """Of 30 jogs of 1 mm, some are in the planner and some unread when the stop (0x19) comes."""
+
     def steps(talk: Talk) -> Steps:
         yield from talk.ask(_FAST)
         yield from talk.ask("$J=G91X1F500\n" * 30, "ms 2000")
         yield from talk.after(1000, "\x19")
         (report,) = yield from talk.ask("?", "report")
         assert report.startswith("<Idle")
-        place = re.search(r"MPos:([\d.]+)", report)[1]
-        assert 0 < float(place) < 29
-        assert f"MPos:{place}," in (yield from talk.after(2000, "?"))[0]
+        x_mm = re.search(r"MPos:([\d.]+)", report)[1]
+        assert 0 < float(x_mm) < 29
+        assert f"MPos:{x_mm}," in (yield from talk.after(2000, "?"))[0]
 
     converse(steps)
 
 
 def test_gsender_stops_a_job_by_force(converse: Any) -> None:
+    """It sends a stop (0x19) and a hold at once, then a reset: idle, with no further output."""
+
     def steps(talk: Talk) -> Steps:
         yield from talk.ask(_FAST)
         yield from talk.ask("G1X50F1200\n", "ok")
@@ -372,6 +406,8 @@ def test_gsender_stops_a_job_by_force(converse: Any) -> None:
 
 
 def test_reset_during_a_stop_is_one_reset(converse: Any) -> None:
+    """With 5 mm/s2 the stop (0x19) decelerates for seconds. A reset within them is sent."""
+
     def steps(talk: Talk) -> Steps:
         yield from talk.ask("$110=6000\n$120=5\n")
         yield from talk.ask("G1X50F1200\n", "ok")
@@ -384,7 +420,10 @@ def test_reset_during_a_stop_is_one_reset(converse: Any) -> None:
 
 @pytest.mark.parametrize("together", [True, False])
 def test_gsender_unlocks(together: bool, converse: Any) -> None:
-    """It sends a stop right after $X."""
+    """It sends a stop (0x19) right after $X, with homing required ($22=1: alarm at reset).
+
+    together: in one transmission, so that the stop is read before $X is executed.
+    """
 
     def steps(talk: Talk) -> Steps:
         yield from talk.ask("$22=1\n")
@@ -401,6 +440,8 @@ def test_gsender_unlocks(together: bool, converse: Any) -> None:
 
 
 def test_full_report_names_the_alarm(converse: Any) -> None:
+    """The failed probing move is alarm 5. The full report (0x87) has its number, ? has not."""
+
     def steps(talk: Talk) -> Steps:
         yield from talk.ask("$21=1\n")
         yield from talk.ask("G38.2X1F100\n", "ok")
@@ -417,6 +458,7 @@ def test_full_report_names_the_alarm(converse: Any) -> None:
 
 
 def test_network_client_gets_the_welcome_of_grblhal(monkeypatch: Any) -> None:
+    """Two clients: both get the welcome; a full report goes only to the one that asked."""
     bench = NetBench(monkeypatch, board=board(LINK="wifi"))
 
     def script(bench: Any) -> Iterator[Any]:
@@ -431,6 +473,7 @@ def test_network_client_gets_the_welcome_of_grblhal(monkeypatch: Any) -> None:
 
 
 def test_build_for_this_dialect_contains_the_texts(monkeypatch: Any) -> None:
+    """hal.txt is in the build of a Pico with DIALECT="hal"; nothing is compiled here."""
     monkeypatch.setattr(build, "compile_all", lambda *_: build.Build("armv6m"))
     pico = Path(__file__).parents[2] / "boards" / "rpi_pico.py"
     monkeypatch.setattr(build, "load_for_build", lambda file: vary(load_board("rpi_pico")))
@@ -452,6 +495,7 @@ def test_doctor_recognises_our_firmware() -> None:
 
 
 def test_default_dialect_has_none_of_it() -> None:
+    """Grbl 1.1 does not answer the bytes 0x80, 0x87 and 0x19, and refuses grblHAL's commands."""
     plain = load_board("sim")
     rig = Rig(plain, factory_store(plain))
     sender = Sender(rig)

@@ -36,7 +36,10 @@ def driver(on: Machine, motor: int = 0) -> model.Driver:
 
 
 def talk(on: Machine, script: "Sequence[object]") -> "list[str]":
-    """Send lines, let seconds pass and call functions, in order; return the output."""
+    """Send lines, let seconds pass and call functions, in order; return the output.
+
+    script: text: a line, followed by 300 ms; float: seconds to wait; function: called with `on`.
+    """
     said: "list[str]" = []
 
     def play() -> "Iterator[Any]":
@@ -60,32 +63,44 @@ def talk(on: Machine, script: "Sequence[object]") -> "list[str]":
 
 
 def test_each_driver_is_set_up_before_anything_moves() -> None:
+    """Compare registers with settings: current, microsteps, hold current, spreadCycle.
+
+    scale, hold: of a full scale of 32; microsteps: the register's code, 4 for 16 and 2 for 64.
+    """
+    # Y: 800 mA, 25 % of it in hold; Z: 64 microsteps, spreadCycle (bit 2). Defaults: 500 mA, 50 %.
     on = machine({141: 800.0, 152: 64.0, 211: 25.0, 810: 4.0})
     on.play(["G1X1Y1Z1F100"])
     assert on.reported() == [1, 1, 1]
     for motor, scale, hold, microsteps, spread in (
-        (0, 16, 8, 4, 0),
+        (0, 16, 8, 4, 0),  # full scale 979 mA: 500 / 979 * 32 = 16
         (1, 26, 7, 4, 0),
         (2, 16, 8, 2, 4),
     ):
-        found = driver(on, motor).registers
-        assert found[model.IHOLD_IRUN] & 0xFFFF == (scale - 1) << 8 | hold - 1, motor
-        assert found[model.CHOPCONF] >> 24 & 15 == microsteps
-        assert found[model.CHOPCONF] & 0xFFFF == 0x53  # the chopper's times are the manufacturer's
-        assert found[model.GCONF] == 0x1C0 | spread
-        assert found[model.GSTAT] == 0
+        registers = driver(on, motor).registers
+        assert registers[model.IHOLD_IRUN] & 0xFFFF == (scale - 1) << 8 | hold - 1, motor
+        assert registers[model.CHOPCONF] >> 24 & 15 == microsteps
+        # The chopper's times are the manufacturer's.
+        assert registers[model.CHOPCONF] & 0xFFFF == 0x53
+        # 0x1C0: settings by serial line, step pulses filtered.
+        assert registers[model.GCONF] == 0x1C0 | spread
+        assert registers[model.GSTAT] == 0  # its fault flags have been cleared
 
 
 @given(st.floats(50, 1700), st.integers(0, 100))
 def test_current_is_within_a_step_of_the_setting(milliamps: float, hold: int) -> None:
+    """The current register has 32 steps; bit 17 of CHOPCONF selects one of two full scales.
+
+    hold: percent of the run current, $210.
+    """
     on = machine({140: milliamps, 210: float(hold)})
     on.play([])
-    found = driver(on).registers
-    full = 0.18 if found[model.CHOPCONF] >> 17 & 1 else 0.325
-    step = full / 0.13 / 2**0.5 / 32 * 1000
-    run = found[model.IHOLD_IRUN] >> 8 & 31
-    assert abs((run + 1) * step - milliamps) <= step / 2 + 1
-    assert abs((found[model.IHOLD_IRUN] & 31) + 1 - (run + 1) * hold / 100) <= 1
+    registers = driver(on).registers
+    full_scale_v = 0.18 if registers[model.CHOPCONF] >> 17 & 1 else 0.325
+    # The data sheet's formula for RMS current: 0.11 ohm and 0.02 ohm within the chip.
+    step_ma = full_scale_v / 0.13 / 2**0.5 / 32 * 1000
+    run = registers[model.IHOLD_IRUN] >> 8 & 31
+    assert abs((run + 1) * step_ma - milliamps) <= step_ma / 2 + 1
+    assert abs((registers[model.IHOLD_IRUN] & 31) + 1 - (run + 1) * hold / 100) <= 1
 
 
 def test_driver_off_by_default_is_switched_on() -> None:
@@ -102,6 +117,7 @@ def test_changed_setting_reaches_its_driver() -> None:
 
 
 def test_impossible_setting_is_refused_and_nothing_changes() -> None:
+    """Currents, microsteps, hold percent and stall threshold out of range; $155 has no motor."""
     lines = ["$140=0", "$141=1800", "$150=10", "$152=512", "$210=101", "$200=256", "$155=3"]
     on = machine()
     on.play([*lines, "$$"])
@@ -110,6 +126,7 @@ def test_impossible_setting_is_refused_and_nothing_changes() -> None:
 
 
 def test_reported_settings_are_accepted_again() -> None:
+    """The reply to $$ is sent back line by line, as senders do to restore settings."""
     on = machine({140: 700.0, 150: 64.0})
     on.play(["$$"])
     lines = [line for line in on.received if line.startswith("$")]
@@ -118,6 +135,7 @@ def test_reported_settings_are_accepted_again() -> None:
 
 
 def test_excluded_driver_is_not_addressed() -> None:
+    """$338 is the mask of motors with a driver to set up: 5 excludes Y, which has no supply."""
     on = machine({338: 5.0})
     driver(on, 1).has_supply = False
     on.play(["G1Y2F600"])
@@ -126,6 +144,7 @@ def test_excluded_driver_is_not_addressed() -> None:
 
 
 def test_wire_is_silent_during_motion() -> None:
+    """Datagrams are sent while idle only, because they take time and interrupt step pulses."""
     on = machine(_HOMING)
     fit(on)
     on.play(["$H", "G1X-5F900", "G4P0.2", "G2X-10I-2.5", "$J=G91X-3F600", "G1Y-5", "$TMC"])
@@ -195,6 +214,7 @@ _TROUBLES: "list[tuple[Callable[[Machine], None], str]]" = [
 def test_fault_while_idle_is_an_alarm_reported_once(
     trouble: "Callable[[Machine], None]", words: str
 ) -> None:
+    """trouble: causes the fault at Y's driver, or on the wire to all; words: of its message."""
     on = machine()
     said = talk(on, ["G1X1F600", 1.0, trouble, 2.0])
     assert said[0] == "ok"
@@ -205,23 +225,25 @@ def test_fault_while_idle_is_an_alarm_reported_once(
 
 @pytest.mark.parametrize(("trouble", "words"), _TROUBLES[:9])
 def test_nothing_moves_during_a_fault(trouble: "Callable[[Machine], None]", words: str) -> None:
+    """The fault exists from power-up. Neither a move, a jog, probing nor homing starts."""
     on = machine(_HOMING)
     trouble(on)
     for line in ("G1X1F600", "$J=G91X1F600", "G38.3X2F100", "$H"):
         said = talk(on, ["$X", 0.5, line, 1.0])
-        assert any(words in each for each in said), (line, said)
+        assert any(words in message for message in said), (line, said)
         assert "ALARM:35" in said, line
         assert on.physical() == [0, 0, 0]
 
 
 def test_supply_switched_on_later_is_no_alarm() -> None:
+    """Drivers do not answer without the motors' supply. At power-up that is only a message."""
     on = machine()
-    for each in on.rig.drivers.drivers:
-        each.has_supply = False
+    for chip in on.rig.drivers.drivers:
+        chip.has_supply = False
 
     def supply(on: Machine) -> None:
-        for each in on.rig.drivers.drivers:
-            each.switch_on()
+        for chip in on.rig.drivers.drivers:
+            chip.switch_on()
 
     said = talk(on, [1.0, supply, 0.5, "G1X1F600", 0.5])
     assert [line for line in said if "Motor" in line] == [
@@ -239,25 +261,26 @@ def test_recovered_driver_is_set_up_again_after_an_alarm() -> None:
 
 
 def test_damaged_answer_is_requested_again() -> None:
+    """The next two answers are damaged: the driver is asked again, without an alarm."""
     on = machine()
-    once = [2]
+    damaged_left = [2]
 
     def spoil(answer: bytes) -> bytes:
-        once[0] -= 1
-        return answer if once[0] < 0 else b"\0" * 8
+        damaged_left[0] -= 1
+        return answer if damaged_left[0] < 0 else b"\0" * 8
 
     def begin(on: Machine) -> None:
         on.rig.drivers.spoil = spoil
 
     assert not any("ALARM" in line for line in talk(on, [0.5, begin, 2.0]))
-    assert once[0] < 0
+    assert damaged_left[0] < 0  # more answers than these two were requested
 
 
 def test_warm_driver_is_reported_once_and_continues() -> None:
     on = machine()
 
     def warm(on: Machine) -> None:
-        driver(on).registers[model.DRV_STATUS] |= 1
+        driver(on).registers[model.DRV_STATUS] |= 1  # overtemperature warning
 
     said = talk(on, [0.5, warm, 2.0, "G1X1F600", 0.5])
     assert said.count("[MSG:Motor driver X: warm]") == 1
@@ -274,6 +297,7 @@ class Stall(Switch):
     felt: "list[int]"
 
     def closed(self, steps: int) -> bool:
+        """Return whether DIAG is high at this position; record the threshold (0: off)."""
         threshold = self.driver.registers.get(model.SGTHRS, 0)
         closed = super().closed(steps) and threshold > 0
         if closed:
@@ -282,7 +306,8 @@ class Stall(Switch):
 
 
 def fit(on: Machine, above: int = 700) -> "list[int]":
-    """Put a wall at the end of each axis; return the list of thresholds in use there."""
+    """Put a wall above so many steps of each axis; return the thresholds in use there, a list
+    that grows as walls are touched."""
     felt: "list[int]" = []
     for motor, letter in enumerate("xyz"):
         wall = Stall(f"limit_{letter}", motor, True, above)
@@ -292,50 +317,57 @@ def fit(on: Machine, above: int = 700) -> "list[int]":
 
 
 def test_axes_home_by_stall_detection() -> None:
+    """$200 to $202 are thresholds of the fast approach (90), $220 to $222 of the slow one (70).
+
+    $339 is the mask of axes that home by stall detection. Afterwards it is off.
+    """
     thresholds = {**{200 + i: 90.0 for i in range(3)}, **{220 + i: 70.0 for i in range(3)}}
     on = machine({**_HOMING, **thresholds, 339: 7.0})
-    felt = fit(on)
+    used_thresholds = fit(on)
     on.play(["$H", "G1X-1F600"])
     assert on.reported() == [-1, -1, -1]
-    assert set(felt) == {90, 70}
+    assert set(used_thresholds) == {90, 70}
     for motor in range(3):
         assert driver(on, motor).registers[model.SGTHRS] == 0
         assert driver(on, motor).registers[model.TCOOLTHRS] == 0
 
 
 def test_axis_in_spreadcycle_uses_stealthchop_during_stall_detection() -> None:
+    """Stall detection needs stealthChop. $339 and $810 are 7: both for all axes."""
     on = machine({**_HOMING, 339: 7.0, 810: 7.0, 200: 9.0, 201: 9.0, 202: 9.0})
     fit(on)
-    seen: "set[int]" = set()
-    usual = Stall.closed
+    spread_bits: "set[int]" = set()  # bit 2 of GCONF, spreadCycle, whenever a stall is detected
+    original = Stall.closed
 
     def closed(self: Stall, steps: int) -> bool:
-        closed = usual(self, steps)
-        if closed:
-            seen.add(self.driver.registers[model.GCONF] & 4)
-        return closed
+        is_closed = original(self, steps)
+        if is_closed:
+            spread_bits.add(self.driver.registers[model.GCONF] & 4)
+        return is_closed
 
     Stall.closed = closed  # type: ignore[method-assign]
     try:
         on.play(["$H", "G4P0.5"])
     finally:
-        Stall.closed = usual  # type: ignore[method-assign]
-    assert seen == {0}
-    assert driver(on).registers[model.GCONF] & 4
+        Stall.closed = original  # type: ignore[method-assign]
+    assert spread_bits == {0}
+    assert driver(on).registers[model.GCONF] & 4  # afterwards it is on again
 
 
 def test_axis_without_stall_detection_does_not_use_it() -> None:
+    """$339=2: only Y. Z is homed first, and finds no switch."""
     on = machine({**_HOMING, 200: 90.0, 339: 2.0})
-    felt = fit(on)
+    thresholds = fit(on)
     on.play(["$H"])
     assert "ALARM:9" in on.received
-    assert felt == []
+    assert thresholds == []
 
 
 # The report
 
 
 def test_report_has_the_status_of_each_driver() -> None:
+    """$TMC: first with Y too hot, then with the serial wire cut. $TMCX is an error."""
     on = machine({152: 64.0, 810: 2.0})
     said = talk(on, [1.0, _hot, "$TMC", 1.0, _broken, 1.0, "$TMC", "$TMCX"])
     reports = [line for line in said if line.startswith("[TMC:")]
@@ -376,6 +408,7 @@ def test_impossible_board_file_is_reported_with_the_cause(
 
 
 def test_second_motor_has_its_axis_settings_and_a_name() -> None:
+    """Motor 3 is the second of Y: its current is Y's ($141), and its name is Y2."""
     on = Machine(
         {141: 900.0},
         board("sim_ganged", TMC2209=(0, 1, 2, 3), TMC_UART=(8, 9)),

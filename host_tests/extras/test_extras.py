@@ -23,6 +23,7 @@ class Bench:
     """A machine with one extra, `install`, and a sender."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, install: "Callable[[Cnc], None]") -> None:
+        """Put `install` into a module "mine", the only one of EXTRAS of the board file."""
         extra = ModuleType("mine")
         extra.install = install  # type: ignore[attr-defined]
         monkeypatch.setitem(sys.modules, "mine", extra)
@@ -30,10 +31,11 @@ class Bench:
         vars(board).update(vars(load_board("sim")), EXTRAS=("mine",))
         self.rig = Rig(board, factory_store(load_board("sim")))
         self.sender = Sender(self.rig)
-        self.sender.allow(3_600_000)
+        self.sender.allow(3_600_000)  # ms
 
     def say(self, *talk: "tuple[str, str]") -> "list[list[str]]":
-        """Send texts, each given as (text, what to wait for); return the replies to each."""
+        """Power up and send texts, each given as (text, what to wait for: see Sender.wait());
+        return the replies to each."""
         said: list[list[str]] = []
 
         def script() -> Iterator[Any]:
@@ -55,7 +57,8 @@ def lines(*texts: str) -> "list[tuple[str, str]]":
 
 
 def test_m_word_gets_its_numbers_after_motion_has_ended(monkeypatch: pytest.MonkeyPatch) -> None:
-    heard: list[Any] = []
+    """P is required, q optional (None). The handler runs when planner and engine are idle."""
+    heard: list[Any] = []  # p, q, planner empty, engine idle
 
     def install(cnc: Cnc) -> None:
         def vacuum(p: float, q: "float | None") -> None:
@@ -83,6 +86,7 @@ def test_m_word_gets_its_numbers_after_motion_has_ended(monkeypatch: pytest.Monk
 def test_refused_line_calls_no_handler(
     monkeypatch: pytest.MonkeyPatch, line: str, error: int
 ) -> None:
+    """M100 needs P and allows Q. The line is M100 with something missing, added or wrong."""
     heard: list[Any] = []
     bench = Bench(monkeypatch, lambda cnc: cnc.add_m(100, lambda *n: heard.append(n), "Pq"))
     assert bench.say(*lines(line)) == [[f"error:{error}"]] and heard == []
@@ -107,6 +111,8 @@ def test_g_word_may_have_a_decimal(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_words_and_bytes_of_grbl_cannot_be_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Grbl uses M3, G0, G80, G92, byte 0x84 and the letter A; install() has added M100 and G86."""
+
     def install(cnc: Cnc) -> None:
         cnc.add_m(100, print)
         cnc.add_cycle(86, _bore)
@@ -128,6 +134,9 @@ def test_words_and_bytes_of_grbl_cannot_be_taken(monkeypatch: pytest.MonkeyPatch
 
 
 def test_handler_may_refuse_and_is_ended_by_a_reset(monkeypatch: pytest.MonkeyPatch) -> None:
+    """M100 P0 is refused with a Grbl error. M100 P1 never ends, but serves the machine: it still
+    reports, and a reset ends it."""
+
     def install(cnc: Cnc) -> None:
         def wait(p: float) -> None:
             if p == 0:
@@ -146,19 +155,22 @@ def test_handler_may_refuse_and_is_ended_by_a_reset(monkeypatch: pytest.MonkeyPa
 
 
 def _bore(here: "list[float]", target: "list[float]", r: float, p: "float | None") -> "Any":
+    """Yield a canned cycle's moves, (position, whether it is rapid): to R, down, up to R + P."""
     yield target[:2] + [r], True
     yield target, False
     yield target[:2] + [r + (p or 0.0)], True
 
 
 def test_cycle_keeps_its_numbers_until_another_motion(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Later lines have only X: Z, R and P of the first one are used, until G0 ends the cycle."""
     bench = Bench(monkeypatch, lambda cnc: cnc.add_cycle(86, _bore, "Rp"))
     cycle = ("G20G86X1Z-.2R.1P3F20", "X2", "G21X-2R-1", "G0X0", "X1")
     said = bench.say(*((text, "idle") for line in cycle for text in (line + "\n", "?")))
     assert said[::2] == [["ok"]] * 5
     places = [report[0].partition("MPos:")[2].partition("|")[0] for report in said[1::2]]
+    # Z ends at R + P: 0.1 in = 2.54 mm, and 3; then R-1 in mm, and 3. P has no unit.
     at = ("25.400,0.000,5.540", "50.800,0.000,5.540", "-2.000,0.000,2.000", "0.000,0.000,2.000")
-    assert places == [*at, "1.000,0.000,2.000"]
+    assert places == [*at, "1.000,0.000,2.000"]  # the last X1 is a rapid: Z stays
     # After another motion Z and R are required again; P is not.
     again = lines("G86X1Z-1R1P5F9", "G0X2", "G86X1R1", "G86X1Z-1", "X3", "G86X1Z-1R0", "$G")
     said = bench.say(*again)
@@ -169,7 +181,11 @@ def test_cycle_keeps_its_numbers_until_another_motion(monkeypatch: pytest.Monkey
 def test_cycle_numbers_are_restored_after_a_with_statement(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    deepest: list[float] = []
+    """M100 executes G86 with Z-9 between two lines of G86; ModalState is custom.py's m.saved().
+
+    The line X2 after it uses Z-1 of the first line again.
+    """
+    deepest: list[float] = []  # Z of each cycle
 
     def bore(here: "list[float]", target: "list[float]", r: float) -> "Any":
         deepest.append(target[2])
@@ -177,7 +193,7 @@ def test_cycle_numbers_are_restored_after_a_with_statement(
 
     def install(cnc: Cnc) -> None:
         def deeper() -> None:
-            with ModalState(cnc.machine, False, []):
+            with ModalState(cnc.machine, standard=False, blocks=[]):
                 cnc.machine.state.hooks.execute(bytearray(b"G86X0Z-9R1\0"), 10)
 
         cnc.add_cycle(86, bore)
@@ -188,7 +204,9 @@ def test_cycle_numbers_are_restored_after_a_with_statement(
 
 
 def test_polling_stops_while_a_reset_is_pending(monkeypatch: pytest.MonkeyPatch) -> None:
-    due: list[int] = []
+    """Functions of extras are called in the main loop (poll), but not between a reset's byte and
+    its execution: they could start something that it would not end."""
+    due: list[int] = []  # whether a reset is pending, at each call
 
     def install(cnc: Cnc) -> None:
         state = cnc.machine.state
@@ -199,7 +217,8 @@ def test_polling_stops_while_a_reset_is_pending(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_job_cannot_be_entered_in_the_middle_of_a_cycle(monkeypatch: pytest.MonkeyPatch) -> None:
-    whys: list[str] = []
+    """M100 asks if a program could be entered here: before a cycle, within one, after one."""
+    whys: list[str] = []  # reasons against it; "": none
 
     def install(cnc: Cnc) -> None:
         cnc.add_cycle(86, _bore, "Rp")
@@ -213,6 +232,7 @@ def test_job_cannot_be_entered_in_the_middle_of_a_cycle(monkeypatch: pytest.Monk
 def test_refused_line_of_a_cycle_changes_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """Refused are G18, G91, G93 (error 20), the unused word L (36), and no axis (26)."""
     bench = Bench(monkeypatch, lambda cnc: cnc.add_cycle(86, _bore, "Rp"))
     wrong = ("G18G86X1Z-1R0F9", "G91G86X1Z-1R0F9", "G93G86X1Z-1R0F9", "G86X1Z-1R0L1F9", "G86R0F9")
     said = bench.say(*lines(*wrong, "$G"))
@@ -232,6 +252,7 @@ def test_setting_is_stored_with_the_others(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_command_is_accepted_only_while_idle(monkeypatch: pytest.MonkeyPatch) -> None:
+    """$VAC=1 is accepted; during a move $VAC is refused. The handler gets the text after VAC."""
     heard: list[bytes] = []
     bench = Bench(monkeypatch, lambda cnc: cnc.add_command(b"VAC", heard.append))
     said = bench.say(("$VAC=1\n", "ok"), ("G1X50F100\n", "ok"), ("$VAC\n", "ok"), ("$G\n", "ok"))
@@ -257,9 +278,10 @@ def test_byte_is_handled_anywhere_in_a_line(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_guard_prevents_motion(monkeypatch: pytest.MonkeyPatch) -> None:
-    may: list[bool] = [False]
-    started: list[int] = []
-    stopped: list[int] = []
+    """The first machine's guard returns False: no motor moves. The second one's returns True."""
+    may: list[bool] = [False]  # what the guard returns
+    started: list[int] = []  # an item per start of motion
+    stopped: list[int] = []  # at each stop, the number of starts so far
 
     def install(cnc: Cnc) -> None:
         cnc.before_motion(lambda: may[0])
@@ -277,6 +299,7 @@ def test_guard_prevents_motion(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_lines_of_motion_and_resets_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    """after_line is called for lines with motion, not for G4; after_reset also at power-up."""
     heard: list[str] = []
 
     def install(cnc: Cnc) -> None:
@@ -300,6 +323,7 @@ def test_missing_module_is_named() -> None:
 def test_old_method_name_works_and_reports_the_new_one(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """behind_reset was the name of after_reset. A name that never existed is an error."""
     heard: list[str] = []
 
     def install(cnc: Cnc) -> None:
@@ -309,5 +333,5 @@ def test_old_method_name_works_and_reports_the_new_one(
             old.no_such_method()
 
     said = Bench(monkeypatch, install).say(("\x18", "banner"), ("$I\n", "ok"))
-    assert heard == ["reset", "reset"]
+    assert heard == ["reset", "reset"]  # at power-up, and by \x18
     assert "[MSG:cnc.behind_reset is now cnc.after_reset]" in said[0] + said[1]

@@ -66,6 +66,8 @@ class Gantry(Machine):
         switches: "dict[str, int] | None" = None,
         **options: Any,
     ) -> None:
+        """racked: steps; settings: by $-number; switches: steps at which they close, by name;
+        options: of the board file."""
         super().__init__({**SETTINGS, **(settings or {})}, board(**options), watched=False)
         self.at = {"limit_x": _AT, "limit_y": _AT, "limit_z": _AT, "limit_y2": _AT + racked}
         self.at.update(switches or {})
@@ -86,6 +88,7 @@ def assert_alive(gantry: Gantry) -> None:
     gantry.received.clear()
     gantry.play([_RESET, "$X", "G91", "G1 X-1 Y-2 Z-3 F3000"])
     made = [at - was for at, was in zip(gantry.physical(), before, strict=True)]
+    # 250 steps/mm; the motors are X, Y, Z and the second of Y.
     assert made == [-250, -500, -750, -500], gantry.received
 
 
@@ -93,9 +96,10 @@ def assert_alive(gantry: Gantry) -> None:
 
 
 def test_each_motor_stops_at_its_own_switch() -> None:
+    """Y's second motor starts 300 steps (1.2 mm) further from its switch than the first."""
     gantry = Gantry(racked=300)
-    told = gantry.told("$H")
-    assert "ok" in told and not any("ALARM" in line for line in told)
+    output = gantry.told("$H")
+    assert "ok" in output and not any("ALARM" in line for line in output)
     _, y, _, y2 = gantry.physical()
     assert abs(y - (_AT - _PULL_OFF_MM * _STEPS_PER_MM)) <= 1
     assert abs(y2 - y - 300) <= 1
@@ -104,7 +108,11 @@ def test_each_motor_stops_at_its_own_switch() -> None:
 
 @pytest.mark.thorough
 def test_gantry_is_square_within_a_step_for_any_offset() -> None:
-    """UGRBL_TORTURE=1000 tries 1000 gantries."""
+    """Home gantries with random rack, offset ($171), seek rate ($25) and direction ($23).
+
+    $171 is how much further from its switch the second motor ends than the first, in mm.
+    UGRBL_TORTURE=1000 tries 1000 gantries.
+    """
     chance = random.Random(19)
     for _ in range(_GANTRIES):
         racked, offset = chance.randint(-600, 600), round(chance.uniform(-3, 3), 3)
@@ -115,22 +123,26 @@ def test_gantry_is_square_within_a_step_for_any_offset() -> None:
             for switch in gantry.rig.engine.switches:
                 if switch.axis in (1, 3):
                     switch.above, switch.steps = False, -switch.steps
-        told = gantry.told("$H")
-        case = f"racked {racked}, $171={offset}, $25={seek}, $23={negative}: {told}"
-        assert not any("ALARM" in line for line in told[2:]), case
+        output = gantry.told("$H")
+        case = f"racked {racked}, $171={offset}, $25={seek}, $23={negative}: {output}"
+        assert not any("ALARM" in line for line in output[2:]), case
         _, y, _, y2 = gantry.physical()
-        further = racked - round(offset * _STEPS_PER_MM)
-        assert abs(y2 - y - (-further if negative else further)) <= 1, case
+        further_steps = racked - round(offset * _STEPS_PER_MM)  # of the second motor
+        assert abs(y2 - y - (-further_steps if negative else further_steps)) <= 1, case
 
 
 @pytest.mark.parametrize("offset", [0.5, -0.5])
 def test_offset_moves_the_motor_that_must_be_further_away(offset: float) -> None:
+    """With $171=0.5 the second motor ends 0.5 mm further from its switch, with -0.5 the first.
+
+    Both motors are then moved to Y-4.
+    """
     gantry = Gantry(0, {171: offset})
     gantry.told("$H", "G90 G53 G0 Y-4")
     _, y, _, y2 = gantry.physical()
     assert abs(y - y2 - offset * _STEPS_PER_MM) <= 1
-    there = _AT - 4 * _STEPS_PER_MM  # seen from the motor that is at its switch first
-    assert abs(max(y, y2) - there) <= 1
+    target_steps = _AT - 4 * _STEPS_PER_MM  # of the motor that is not moved by the offset
+    assert abs(max(y, y2) - target_steps) <= 1
 
 
 def test_one_axis_homed_alone_is_squared() -> None:
@@ -141,12 +153,13 @@ def test_one_axis_homed_alone_is_squared() -> None:
 
 
 def test_both_motors_home_as_one_without_a_second_switch() -> None:
+    """Y homes by its one switch; the pull-off is 1 mm."""
     gantry = Gantry(0, LIMIT=(0, 1, 2, None))
-    told = gantry.told("$H", "$$")
+    output = gantry.told("$H", "$$")
     _, y, _, y2 = gantry.physical()
     assert y == y2 and abs(y - (_AT - _STEPS_PER_MM)) <= 1
     # Settings of the second motor: its direction, but none of squaring.
-    assert "$8=0" in told and not any(line.startswith(("$17", "$347=")) for line in told)
+    assert "$8=0" in output and not any(line.startswith(("$17", "$347=")) for line in output)
 
 
 # Failures
@@ -163,55 +176,62 @@ def test_both_motors_home_as_one_without_a_second_switch() -> None:
     ids=["second dead", "first dead", "both dead", "racked too far"],
 )
 def test_missing_switch_is_an_alarm(switches: "dict[str, int]", alarm: str) -> None:
+    """One motor may search alone for 10 mm: 5 % ($347) of the travel of X, 200 mm ($130).
+
+    Alarm 10: only one motor has found its switch; alarm 9: none.
+    """
     gantry = Gantry(0, {130: 200, 131: 20}, switches)
-    told = gantry.told("$H")
-    assert [line for line in told if line.startswith("ALARM")] == [alarm]
-    at = gantry.physical()
+    output = gantry.told("$H")
+    assert [line for line in output if line.startswith("ALARM")] == [alarm]
+    _, y, _, y2 = gantry.physical()
     if alarm == "ALARM:10":
-        assert 2450 <= abs(at[1] - at[3]) <= 2600, "10 mm, and what passes until it is seen"
+        assert 2450 <= abs(y - y2) <= 2600, "10 mm, and what passes until it is seen"
     assert_alive(gantry)
 
 
 def test_repeated_homing_racks_no_further() -> None:
-    """The rack stays until it is straightened by hand and the board restarts."""
+    """Y's second switch never closes. The racking limit of 10 mm holds for all homings together,
+    until the gantry is straightened by hand and the board restarts."""
     gantry = Gantry(0, {}, {"limit_y2": _DEAD})
 
     def script() -> Any:
         yield from gantry.start()
         for _ in range(4):
             gantry.rig.link.send(b"$H\n")
-            yield gantry.rig.ms(12_000)
+            yield gantry.rig.ms(12_000)  # the alarm has come
             gantry.rig.link.send(b"$X\nG91 G1 Y-6 F3000\n")
             yield gantry.rig.ms(3_000)
         gantry.take()
 
     gantry.run(script())
-    at = gantry.physical()
+    _, y, _, y2 = gantry.physical()
     assert gantry.received.count("ALARM:10") == 4
-    assert 2500 < abs(at[1] - at[3]) <= 2600, "10 mm"
+    assert 2500 < abs(y - y2) <= 2600, "10 mm"
 
 
 @pytest.mark.parametrize("offset", [6, -6])
 def test_offset_beyond_the_racking_limit_homes_repeatedly(offset: float) -> None:
+    """$171 is 6 mm, and the racking limit 5 mm (5 % of 100): a wanted offset is not racking."""
     gantry = Gantry(0, {171: offset, 130: 100})
-    told = gantry.told("$H", "G91 G1 Y-2 F3000", "$H", "G1 Y-2", "$H")
-    assert not any("ALARM" in line for line in told[2:])
+    output = gantry.told("$H", "G91 G1 Y-2 F3000", "$H", "G1 Y-2", "$H")
+    assert not any("ALARM" in line for line in output[2:])
     _, y, _, y2 = gantry.physical()
     assert abs(y - y2 - offset * _STEPS_PER_MM) <= 1
 
 
 @pytest.mark.parametrize("ms", range(1150, 1700, 50))
 def test_false_switch_signal_leaves_no_rack(ms: int) -> None:
+    """Y's second switch closes for 2 ms during homing: an alarm, or both motors end equally."""
     gantry = Gantry()
 
     def script() -> Any:
         yield from gantry.start()
         gantry.rig.link.send(b"$H\n")
-        yield gantry.rig.ms(ms)
+        yield gantry.rig.ms(ms)  # Y is homed in this time
         gantry.rig.port.push({"limit_y2": True})
         yield gantry.rig.ms(2)
         gantry.rig.port.push({"limit_y2": False})
-        yield gantry.rig.ms(6000)
+        yield gantry.rig.ms(6000)  # homing has ended
         gantry.take()
 
     gantry.run(script())
@@ -224,6 +244,10 @@ def test_false_switch_signal_leaves_no_rack(ms: int) -> None:
     [({130: 10}, 2.5), ({130: 1000}, 25), ({130: 200, 347: 1.5}, 3), ({130: 10, 348: 1}, 1)],
 )
 def test_racking_limit_is_a_setting(settings: "dict[int, float]", mm: float) -> None:
+    """Y's second motor searches alone for so many mm.
+
+    It is $347 percent (5) of the travel of X ($130), at least $348 (2.5 mm), at most $349 (25 mm).
+    """
     gantry = Gantry(0, {131: 60, **settings}, {"limit_y2": _DEAD})
     gantry.told("$H")
     _, y, _, y2 = gantry.physical()
@@ -233,6 +257,7 @@ def test_racking_limit_is_a_setting(settings: "dict[int, float]", mm: float) -> 
 @pytest.mark.parametrize("ms", range(60, 3200, 170))
 @pytest.mark.parametrize("stop", [_RESET, "door"])
 def test_all_motors_move_after_a_stop_at_any_time(ms: int, stop: str) -> None:
+    """A reset or an open door so many ms after $H, at which a motor of Y may be moved alone."""
     door = stop == "door"
     gantry = Gantry(400, {171: 0.7}, SAFETY_DOOR=door)
     gantry.told("$H", at_ms=((ms, "\x84" if door else _RESET),))
@@ -240,18 +265,21 @@ def test_all_motors_move_after_a_stop_at_any_time(ms: int, stop: str) -> None:
 
 
 def test_closed_switch_at_the_start_is_refused_with_the_reason() -> None:
+    """Y's second switch closes above -5 steps: it is closed at 0, where the gantry starts."""
     gantry = Gantry(0, {}, {"limit_y2": -5})
-    told = gantry.told("$H", at_ms=((1000, _RESET),))
-    at = told.index("[MSG:Y: move off the closed limit switch first]")
-    assert told[at + 1 : at + 3] == ["ok", "ALARM:1"]  # as Grbl with two switches on one input
+    output = gantry.told("$H", at_ms=((1000, _RESET),))
+    index = output.index("[MSG:Y: move off the closed limit switch first]")
+    # As Grbl with two switches on one input.
+    assert output[index + 1 : index + 3] == ["ok", "ALARM:1"]
     assert gantry.physical() == [0, 0, 0, 0]
 
 
 def test_either_switch_is_reported_and_stops_the_machine() -> None:
+    """Hard limits ($21): here the second switch, at 800 steps, closes long before the first."""
     gantry = Gantry(0, {22: 0, 21: 1}, {"limit_y": 2000})
-    told = gantry.told("G91 G1 Y8 F3000", at_ms=((2000, _RESET),))
-    assert "ALARM:1" in told
-    assert [line for line in told if "|Pn:Y|" in line]
+    output = gantry.told("G91 G1 Y8 F3000", at_ms=((2000, _RESET),))
+    assert "ALARM:1" in output
+    assert [line for line in output if "|Pn:Y|" in line]
     assert gantry.physical()[3] < _AT + 100
 
 
@@ -266,42 +294,54 @@ def test_switches_may_be_normally_closed() -> None:
 
 
 def test_second_motor_turns_as_the_settings_say() -> None:
+    """$3 inverts Y's direction, $8 that of its second motor relative to it.
+
+    pins: mask of inverted direction pins; the motors of Y are bits 1 and 3.
+    """
     for inverted, ganged_inverted, pins in ((0, 0, 0), (2, 0, 0b1010), (2, 2, 0b0010)):
         gantry = Gantry(0, {3: inverted, 8: ganged_inverted, 22: 0})
         gantry.told("G91 G1 Y1 F3000")
         assert gantry.rig.engine.dir_invert == pins
-        ways = [-1 if pins >> motor & 1 else 1 for motor in (1, 3)]
-        assert [gantry.physical()[motor] for motor in (1, 3)] == [250 * way for way in ways]
+        signs = [-1 if pins >> motor & 1 else 1 for motor in (1, 3)]
+        assert [gantry.physical()[motor] for motor in (1, 3)] == [250 * sign for sign in signs]
 
 
 def test_direction_of_a_second_motor_never_changes_alone() -> None:
-    """Not even for a moment: that would be a step of the second motor alone."""
+    """Not even for a moment: that would be a step of the second motor alone.
+
+    $2 and $3 invert step and direction pins of Y, $8 the direction of its second motor.
+    """
     gantry = Gantry(0, {2: 2, 3: 2, 8: 2, 22: 0})
-    handed: "list[tuple[int, int]]" = []
+    configured: "list[tuple[int, int]]" = []  # masks of inverted step and direction pins
     configure = gantry.rig.engine.configure
 
     def note(pulse_us: int, step_invert: int, dir_invert: int) -> None:
-        handed.append((step_invert, dir_invert))
+        configured.append((step_invert, dir_invert))
         configure(pulse_us, step_invert, dir_invert)
 
     gantry.rig.engine.configure = note  # type: ignore[method-assign]
-    told = gantry.told("$10=3", "$2=255", "$3=0", "$2=0", "$$")
-    assert handed == [(0b1010, 0b0010)] * 2 + [(0b1111, 0b0010), (0b1111, 0b1000), (0, 0b1000)]
-    assert "$2=0" in told and "$3=0" in told and "$8=2" in told
+    output = gantry.told("$10=3", "$2=255", "$3=0", "$2=0", "$$")
+    # At power-up and for each changed setting; Y's motors are bits 1 and 3.
+    assert configured == [
+        *((0b1010, 0b0010), (0b1010, 0b0010)),
+        *((0b1111, 0b0010), (0b1111, 0b1000), (0, 0b1000)),
+    ]
+    assert "$2=0" in output and "$3=0" in output and "$8=2" in output
 
 
 @pytest.mark.parametrize("kept", ["-11", "500", "-nan", "x"])
 def test_impossible_stored_offset_resets_all_settings(kept: str) -> None:
     gantry = Gantry()
     gantry.rig.store.files["settings"].append(f"$171={kept}")
-    told = gantry.told("$$")
-    assert "error:7" in told and "$171=0.000" in told
+    output = gantry.told("$$")
+    assert "error:7" in output and "$171=0.000" in output
 
 
 def test_offset_may_be_negative_and_is_stored() -> None:
+    """11 mm is too much, and only $171, Y's offset, may be negative: X has no second motor."""
     gantry = Gantry()
-    told = gantry.told("$171=-0.75", "$171=11", "$170=-1", "$100=-1", "$171=x")
-    assert [line for line in told if line == "ok" or "error" in line] == [
+    output = gantry.told("$171=-0.75", "$171=11", "$170=-1", "$100=-1", "$171=x")
+    assert [line for line in output if line == "ok" or "error" in line] == [
         *("ok", "error:3", "error:4", "error:4", "error:2")
     ]
     gantry.received.clear()
@@ -335,6 +375,7 @@ def test_impossible_gantry_is_reported(options: "dict[str, Any]", why: str) -> N
 
 
 def test_second_motor_of_a_real_board_needs_no_switch(tmp_path: Path) -> None:
+    """LIMIT may have None for it: edited into a board file, and as `ugrbl new-board` writes it."""
     text = (BOARDS / "pico_gantry.py").read_text()
     without = tmp_path / "without.py"
     without.write_text(text.replace("(9, 10, 11, 21)", "(9, 10, 11, None)"))
@@ -358,6 +399,7 @@ def test_second_motor_of_a_real_board_needs_no_switch(tmp_path: Path) -> None:
 def test_motors_on_shift_registers_are_counted(
     name: str, pins: "tuple[int, ...]", why: str
 ) -> None:
+    """Pins on shift registers must be as many as MOTORS has letters."""
     made = ModuleType("board")
     four = {"MOTORS": "XYZY", "STEP": (1, 5, 3, 9), "DIR": (2, 6, 4, 10)}
     made.__dict__.update({**vars(load_board("mks_dlc32")), **four, name: pins})
@@ -365,6 +407,7 @@ def test_motors_on_shift_registers_are_counted(
 
 
 def test_switch_of_a_second_motor_can_be_placed_by_an_option(tmp_path: Path) -> None:
+    """`ugrbl run --input limit_y2=Y3`: the second motor of Y goes 1 mm further than the first."""
     program = tmp_path / "h.nc"
     program.write_text("$H\n")
     words = ["run", str(program), "--board", "sim_ganged", "--json", str(tmp_path / "out.json")]
@@ -384,10 +427,12 @@ def test_missing_switch_is_not_an_input_of_the_simulator() -> None:
 
 
 def test_z_of_a_corexy_may_have_two_motors() -> None:
+    """CoreXY's two motors move X and Y together: a switch of either axis stops both."""
     options: Any = SimpleNamespace(kinematics=Kinematics(3, COREXY), defaults={})
     ganged.prepare(options, board(MOTORS="XYZZ"))
     assert options.axes == 3
-    assert options.kinematics.moves == [*COREXY, 4, 4]
+    assert options.kinematics.moves == [*COREXY, 4, 4]  # masks of the axes that each motor moves
+    # Masks of the motors that each motor's limit switch stops.
     assert [options.kinematics.stopped_by(1 << i) for i in range(4)] == [3, 3, 4, 8]
 
 

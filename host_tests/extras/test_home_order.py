@@ -29,24 +29,29 @@ def homed(
     stop_ms: int = 0,
     **options: Any,
 ) -> "tuple[Machine, list[str]]":
-    """Return a machine after $H, and its axes in the order in which they met their switches."""
+    """Return a machine after $H, and its axes in the order in which they met their switches.
+
+    settings: by $-number; stop_ms: a reset then, 0: none; options: of the board sim_home_order,
+    which homes X, then Y.
+    """
     board = ModuleType("board")
     board.__dict__.update({**vars(load_board("sim_home_order")), **options})
     machine = Machine({**_SETTINGS, **(settings or {})}, board, watched=False)
-    found: list[str] = []
+    order: list[str] = []
     for axis, letter in enumerate("XYZ"):
         machine.rig.engine.switches.append(Switch(f"limit_{letter.lower()}", axis, True, _AT))
     update = machine.rig.port.update
 
     def look() -> None:
+        """Note axes whose switches have closed; called when an input has changed."""
         update()
         for letter in "XYZ":
-            if machine.rig.port.is_closed(f"limit_{letter.lower()}") and letter not in found:
-                found.append(letter)
+            if machine.rig.port.is_closed(f"limit_{letter.lower()}") and letter not in order:
+                order.append(letter)
 
     machine.rig.engine.pins_changed = look
     machine.play([command], [(stop_ms, "\x18")] if stop_ms else [])
-    return machine, found
+    return machine, order
 
 
 def test_axes_are_homed_in_order_and_unnamed_ones_are_not() -> None:
@@ -66,9 +71,10 @@ def test_axes_are_homed_in_order_and_unnamed_ones_are_not() -> None:
     ],
 )
 def test_settings_change_the_order_at_run_time(masks: "tuple[int, ...]", order: str) -> None:
+    """masks: $44 to $49, axes homed in each of six cycles; bits 1 X, 2 Y, 4 Z."""
     settings = {44 + i: (masks + (0,) * 6)[i] for i in range(6)}
-    machine, found = homed(settings)
-    assert "".join(found) == order
+    machine, letters = homed(settings)
+    assert "".join(letters) == order
     assert machine.reported() == [-1, -1, -1]
 
 
@@ -78,6 +84,7 @@ def test_one_axis_is_homed_alone_on_request() -> None:
 
 
 def test_failed_cycle_ends_homing() -> None:
+    """X's travel ($130) is 1 mm: the search ends before its switch at 3.2 mm. Y and Z stay."""
     machine, order = homed({130: 1}, HOMING=("X", "YZ"))
     assert "ALARM:9" in machine.received and order == []
     assert machine.physical()[1:] == [0, 0]
@@ -85,14 +92,15 @@ def test_failed_cycle_ends_homing() -> None:
 
 def rates(machine: Machine) -> "list[float]":
     """Return the highest rate of each motor, mm/min."""
-    found = [0.0, 0.0, 0.0]
+    highest = [0.0, 0.0, 0.0]
     for _, row in machine.rows:
         for axis in range(3):
+            # Steps of this row; ticks of the first and the last one.
             count, first, last = row[ROW_AXES + axis * ROW_STRIDE :][:3]
             if count > _MANY:
-                gap = (last - first) / (count - 1) / machine.rig.engine.tick_hz
-                found[axis] = max(found[axis], 60 / gap / _PER_MM)
-    return found
+                gap_s = (last - first) / (count - 1) / machine.rig.engine.tick_hz
+                highest[axis] = max(highest[axis], 60 / gap_s / _PER_MM)
+    return highest
 
 
 def test_each_axis_has_a_rate_of_its_own() -> None:
@@ -108,6 +116,7 @@ def test_axes_homed_together_move_at_their_slowest_rate() -> None:
 
 @pytest.mark.parametrize("ms", [50, 400])
 def test_rates_are_restored_after_a_reset(ms: int) -> None:
+    """While X is homed, its own feed and seek rate ($180, $190) are in place of $24 and $25."""
     machine, _ = homed({180: 60, 190: 600}, stop_ms=ms)
     assert "ALARM:6" in machine.received
     machine.play(["$X", "$$"])
@@ -115,6 +124,7 @@ def test_rates_are_restored_after_a_reset(ms: int) -> None:
 
 
 def test_settings_are_masks_of_axes() -> None:
+    """Of three axes, 7 is the largest mask. $45 and $49 are among the six cycles."""
     machine = Machine(board="sim_home_order", watched=False)
     machine.play(["$44=8", "$45=7", "$44=-1", "$$"])
     said = machine.received
