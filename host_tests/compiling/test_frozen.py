@@ -46,11 +46,13 @@ _BOARDS = ("rpi_pico", *_ARM, "esp32_devkit", "mks_dlc32")
 
 @pytest.fixture(scope="module")
 def made() -> build.Build:
+    """Return the build of the board rpi_pico."""
     return build.for_board(board_file("rpi_pico"))
 
 
 @pytest.fixture(scope="module")
 def frozen(made: build.Build) -> str:
+    """Return the id of that build, with which frozen firmware is compared."""
     return made.id
 
 
@@ -59,19 +61,23 @@ def frozen(made: build.Build) -> str:
 
 @pytest.mark.parametrize("name", _BOARDS)
 def test_frozen_files_are_all_that_boards_of_a_chip_need_except_board_files(name: str) -> None:
-    there = {*freeze.for_board(board_file(name)).files}
-    for each in boards():
-        if getattr(load_board(each), "MPY_ARCH", "") == load_board(name).MPY_ARCH:
-            made = build.for_board(board_file(each))
-            assert {*made.files} - {"main.py", *made.own} < there, each
-    assert len({"pio/engine.mpy", "esp_chip/rmt.mpy"} & there) == 1, "engines of another chip"
-    assert {"main.mpy", freeze.HELPER.replace(".", "/") + ".mpy"} < there
+    frozen_files = {*freeze.for_board(board_file(name)).files}
+    for other_name in boards():
+        if getattr(load_board(other_name), "MPY_ARCH", "") == load_board(name).MPY_ARCH:
+            other_build = build.for_board(board_file(other_name))
+            # own: the files of that board only
+            assert {*other_build.files} - {"main.py", *other_build.own} < frozen_files, other_name
+    assert len({"pio/engine.mpy", "esp_chip/rmt.mpy"} & frozen_files) == 1, (
+        "engines of another chip"
+    )
+    assert {"main.mpy", freeze.HELPER.replace(".", "/") + ".mpy"} < frozen_files
 
 
 @pytest.mark.parametrize(
     "name", [pytest.param(_BOARDS[0], marks=pytest.mark.sampled(1)), *_BOARDS[1:]]
 )
 def test_each_file_has_the_name_that_micropython_looks_for(name: str) -> None:
+    """MicroPython finds a frozen module by the source name at the beginning of its .mpy."""
     for path, content in freeze.for_board(board_file(name)).files.items():
         name = path.replace(".mpy", ".py").encode() + b"\0"
         assert name in content[: len(name) + _HEAD]
@@ -79,16 +85,18 @@ def test_each_file_has_the_name_that_micropython_looks_for(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["rpi_pico", *_ARM])
 def test_native_code_of_a_pico_starts_with_its_length(name: str) -> None:
+    """rewritten() calls a function with each native code: two halfwords, an ARM branch (0xE000)
+    and the length of the rest, precede the code."""
     heads = []
 
-    def seen(code: bytes) -> bytes:
+    def note_head(code: bytes) -> bytes:
         heads.append((*struct.unpack_from("<2H", code), len(code)))
         return code
 
     for content in freeze.for_board(board_file(name)).files.values():
-        mpy.rewritten(content, seen)
+        mpy.rewritten(content, note_head)
     assert len(heads) > 20
-    assert all((jump, length + 4) == (0xE000, size) for jump, length, size in heads)
+    assert all((branch, length + 4) == (0xE000, size) for branch, length, size in heads)
 
 
 @pytest.mark.sampled(1)
@@ -102,6 +110,7 @@ def test_native_function_with_an_inner_one_is_refused(inside: str) -> None:
 
 @pytest.mark.parametrize("kind", ["viper", "native"])
 def test_decorator_receives_the_function_itself(kind: str) -> None:
+    """freeze.decorated() adds @in_memory above the native decorator, and below others."""
     native = f"@micropython.{kind}"
     text = f"A = 1\nclass B:\n\n    @staticmethod\n    {native}\n    def f():\n        pass\n"
     decorators = ["@staticmethod", "@in_memory", native]
@@ -110,23 +119,25 @@ def test_decorator_receives_the_function_itself(kind: str) -> None:
 
 
 def test_no_line_of_a_frozen_module_moves() -> None:
+    """Line numbers of tracebacks stay right: the new decorator shares a line."""
     for name, text in build.prepared("armv6m").texts.items():
-        made = freeze.decorated(text)
-        assert made.count("\n") == text.count("\n"), name
-        for one, other in zip(made.splitlines(), text.splitlines(), strict=True):
-            assert one == other or "in_memory" in one or "@" in one, name
+        decorated = freeze.decorated(text)
+        assert decorated.count("\n") == text.count("\n"), name
+        for new, old in zip(decorated.splitlines(), text.splitlines(), strict=True):
+            assert new == old or "in_memory" in new or "@" in new, name
 
 
 def test_no_number_is_beyond_what_micropython_can_freeze() -> None:
     for name, text in build.texts().items():
         numbers = (n.value for n in ast.walk(ast.parse(text)) if isinstance(n, ast.Constant))
+        # largest number in single precision
         assert all(abs(n) < 3.4e38 for n in numbers if isinstance(n, float)), name
 
 
 def test_build_names_the_frozen_firmware(made: build.Build, frozen: str) -> None:
     content = freeze.for_board(board_file("rpi_pico")).files["base/frozen.mpy"]
     assert freeze.read(content.decode("latin-1")) == frozen
-    assert freeze.read(build.texts()[freeze.HELPER]) == ""
+    assert freeze.read(build.texts()[freeze.HELPER]) == ""  # the sources name no build
 
 
 # What MicroPython runs at a start
@@ -147,6 +158,8 @@ def started(folder: Path) -> str:
 
 
 def test_frozen_firmware_starts_after_an_interrupted_deployment(tmp_path: Path) -> None:
+    """An incomplete module in the file system does not shadow the frozen one while main.py is
+    missing there."""
     (tmp_path / "boot").mkdir()
     (tmp_path / "boot" / "power_up.py").write_text("print('half')")
     assert started(tmp_path) == "frozen\nfrozen\n"
@@ -172,20 +185,22 @@ def test_doctor_reports_frozen_firmware() -> None:
 def manifest(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> "Callable[..., tuple[list[str], set[str]]]":
-    """Run manifest.py; return its includes and the files that it freezes."""
+    """Return a function that runs manifest.py and returns its includes and the files that it
+    freezes. missing: the error of a board without a manifest; environment: variables of the build.
+    `ugrbl build --frozen` runs in this process, and writes to tmp_path."""
     monkeypatch.chdir(_ROOT)
     monkeypatch.delenv("UGRBL_BOARD", raising=False)
 
-    usual: Any = subprocess.run
+    real_run: Any = subprocess.run
 
-    def run(command: "list[str]", **how: Any) -> "subprocess.CompletedProcess[str]":
+    def run(command: "list[str]", **options: Any) -> "subprocess.CompletedProcess[str]":
         if "--frozen" not in command:  # the frozen command runs mpy-cross
-            found: subprocess.CompletedProcess[str] = usual(command, **how)
-            return found
+            completed: subprocess.CompletedProcess[str] = real_run(command, **options)
+            return completed
         folder = command.index("--out") + 1
         command[folder] = str(tmp_path / Path(command[folder]).relative_to(_ROOT))
-        done = CliRunner().invoke(app, command[1:])
-        return subprocess.CompletedProcess(command, done.exit_code, done.stdout, done.stderr)
+        result = CliRunner().invoke(app, command[1:])
+        return subprocess.CompletedProcess(command, result.exit_code, result.stdout, result.stderr)
 
     def execute(missing: str = "", **environment: str) -> "tuple[list[str], set[str]]":
         for name, value in environment.items():
@@ -199,8 +214,10 @@ def manifest(
             included.append(path)
 
         def freeze_mpy(folder: str) -> None:
-            there = tmp_path / Path(folder).relative_to(_ROOT)
-            frozen.update(p.relative_to(there).as_posix() for p in there.rglob("*.mpy"))
+            frozen_folder = tmp_path / Path(folder).relative_to(_ROOT)
+            frozen.update(
+                p.relative_to(frozen_folder).as_posix() for p in frozen_folder.rglob("*.mpy")
+            )
 
         names = {"include": include, "freeze_mpy": freeze_mpy}
         exec(_MANIFEST.read_text(encoding="utf-8"), names)
@@ -226,7 +243,7 @@ def test_manifest_does_not_write_an_unchanged_file(manifest: Manifest, tmp_path:
     """MicroPython's build would compile it again."""
     manifest(BOARD="RPI_PICO")
     file = tmp_path / "build" / "frozen" / "rpi_pico" / "motion" / "planner.mpy"
-    os.utime(file, (1, 1))
+    os.utime(file, (1, 1))  # an old time, which a write would change
     manifest(BOARD="RPI_PICO")
     assert file.stat().st_mtime == 1
 
@@ -238,16 +255,19 @@ def test_manifest_includes_that_of_the_port_when_the_board_has_none(manifest: Ma
 
 
 def test_fault_in_the_boards_own_manifest_is_reported(manifest: Manifest) -> None:
+    """The board has a manifest; a file that it includes is missing."""
     missing = "Error in manifest file: a: " + _NO_FILE.format("b", "b")
     with pytest.raises(RuntimeError, match="Error in manifest file: a"):
         manifest(missing, UGRBL_BOARD="rpi_pico")
 
 
 @pytest.mark.parametrize(
-    ("name", "said"), [("", "for which board"), ("TOASTER", "no board 'toaster'")]
+    ("name", "message"), [("", "for which board"), ("TOASTER", "no board 'toaster'")]
 )
-def test_manifest_for_unknown_board_is_refused(manifest: Manifest, name: str, said: str) -> None:
-    with pytest.raises(ValueError, match=said):
+def test_manifest_for_unknown_board_is_refused(
+    manifest: Manifest, name: str, message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
         manifest(BOARD=name)
 
 
@@ -260,17 +280,19 @@ def test_frozen_needs_a_board(tmp_path: Path) -> None:
 
 
 def frozen_program(frozen: str) -> Flash:
-    """Return a MicroPython image with frozen firmware, whose end is not on a page boundary."""
+    """Return a MicroPython image with frozen firmware of this id, whose end is not on a page
+    boundary."""
     flash = program()
-    about = f"ugrbl frozen: {frozen}".encode() + b"\0"
-    data = b"\xe9" * 37 + about
-    for at in range(0, len(data), PAGE):
-        flash.pages[flash.end] = data[at : at + PAGE].ljust(PAGE, b"\4")
+    marker = f"ugrbl frozen: {frozen}".encode() + b"\0"
+    data = b"\xe9" * 37 + marker
+    for start in range(0, len(data), PAGE):
+        flash.pages[flash.end] = data[start : start + PAGE].ljust(PAGE, b"\4")
     return flash
 
 
 @pytest.fixture
 def image(tmp_path: Path, frozen: str) -> Path:
+    """Return a UF2 file of MicroPython with the firmware of this build frozen into it."""
     file = tmp_path / "firmware.uf2"
     file.write_bytes(uf2.write(frozen_program(frozen)))
     return file
@@ -279,17 +301,23 @@ def image(tmp_path: Path, frozen: str) -> Path:
 def test_uf2_with_keep_leaves_the_file_system_unchanged(
     image: Path, tmp_path: Path, frozen: str
 ) -> None:
+    """First an image with board files is loaded; then one made with --keep, which has MicroPython
+    only."""
     out = tmp_path / "all.uf2"
     chip = used_chip(2 << 20, 3)
-    first = ugrbl_uf2("--micropython", str(image), "-o", str(out))
-    assert first.exit_code == 0, first.output
+    of_all = ugrbl_uf2("--micropython", str(image), "-o", str(out))
+    assert of_all.exit_code == 0, of_all.output
     load(chip, out.read_bytes())
-    start = 0xA0000
-    before = bytes(chip[start:])
-    keep = ugrbl_uf2("--micropython", str(image), "--keep", "-o", str(out))
-    assert keep.exit_code == 0 and "has kept stays" in keep.output, keep.output
+    file_system_at = 0xA0000  # offset in the flash of a Pico
+    files_before = bytes(chip[file_system_at:])
+    of_firmware = ugrbl_uf2("--micropython", str(image), "--keep", "-o", str(out))
+    assert of_firmware.exit_code == 0 and "Files on the board stay" in of_firmware.output, (
+        of_firmware.output
+    )
     load(chip, out.read_bytes())
-    assert bytes(chip[start:]) == before and {"board.py", LIST} == {*read_back(before)}
+    assert bytes(chip[file_system_at:]) == files_before and {"board.py", LIST} == {
+        *read_back(files_before)
+    }
     pages = frozen_program(frozen).pages
     assert all(chip[at - BASE : at - BASE + PAGE] == page for at, page in pages.items())
 
@@ -298,8 +326,9 @@ def test_only_the_boards_own_files_lie_next_to_frozen_firmware(
     image: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "all.uf2"
-    done = ugrbl_uf2("--micropython", str(image), "-o", str(out))
-    assert "which runs" in done.output and "is lost then" in done.output
+    result = ugrbl_uf2("--micropython", str(image), "-o", str(out))
+    assert "which runs" in result.output and "is lost then" in result.output
+    # [1]: files on the board after its first start
     assert {*after_a_drag(out.read_bytes())[1]} == {"board.py", LIST}
 
 
@@ -308,31 +337,31 @@ def test_files_are_used_before_frozen_firmware_of_another_build(
 ) -> None:
     image, out = tmp_path / "firmware.uf2", tmp_path / "all.uf2"
     image.write_bytes(uf2.write(frozen_program("01234567")))
-    done = ugrbl_uf2("--micropython", str(image), "-o", str(out))
-    assert "build 01234567; files on the board take priority" in " ".join(done.output.split())
+    result = ugrbl_uf2("--micropython", str(image), "-o", str(out))
+    assert "build 01234567; files on the board take priority" in " ".join(result.output.split())
     assert {*made.files} < {*after_a_drag(out.read_bytes())[1]}
 
 
 @pytest.mark.parametrize(
-    ("other", "words", "said"),
+    ("frozen_id", "options", "message"),
     [
         (None, [], "the firmware is not frozen into it"),
         (None, [], "update the board with `ugrbl deploy`"),
         ("01234567", [], "build 01234567 is frozen into it, but"),
         ("", ["--board", "rpi_pico2"], "it is for RP2040; the board file is for RP2350"),
-        ("", ["--settings", "my.settings"], "no place for my.settings"),
-        ("", ["--custom", "custom.py"], "no place for custom.py"),
+        ("", ["--settings", "my.settings"], "my.settings cannot be added"),
+        ("", ["--custom", "custom.py"], "custom.py cannot be added"),
     ],
 )
 def test_uf2_that_cannot_keep_is_one_message_and_no_file(
-    other: "str | None", words: "list[str]", said: str, tmp_path: Path, frozen: str
+    frozen_id: "str | None", options: "list[str]", message: str, tmp_path: Path, frozen: str
 ) -> None:
-    """other: id of the frozen firmware; "": of this build; None: none is frozen."""
-    flash = program() if other is None else frozen_program(other or frozen)
+    """frozen_id: of the firmware in the image; "": of this build; None: none is frozen."""
+    flash = program() if frozen_id is None else frozen_program(frozen_id or frozen)
     image, out = tmp_path / "firmware.uf2", tmp_path / "all.uf2"
     image.write_bytes(uf2.write(flash))
-    done = ugrbl_uf2("--micropython", str(image), "--keep", "-o", str(out), *words)
-    assert done.exit_code == 1 and said in " ".join(done.output.split()), done.output
+    result = ugrbl_uf2("--micropython", str(image), "--keep", "-o", str(out), *options)
+    assert result.exit_code == 1 and message in " ".join(result.output.split()), result.output
     assert not out.exists()
 
 
@@ -340,6 +369,8 @@ def test_uf2_that_cannot_keep_is_one_message_and_no_file(
 
 
 def test_board_with_frozen_firmware_gets_its_board_file(made: build.Build, frozen: str) -> None:
+    """Only the board file and the list of files are written; a second deployment writes
+    nothing."""
     board = FakeBoard(PICO._replace(frozen=frozen))
     result = put(board, made)
     assert board.writes() == ["board.py", LIST]
@@ -350,6 +381,8 @@ def test_board_with_frozen_firmware_gets_its_board_file(made: build.Build, froze
 def test_earlier_firmware_files_are_removed_and_user_files_stay(
     made: build.Build, frozen: str
 ) -> None:
+    """Deploy files to a board, then again after frozen firmware of the same build was put on it.
+    main.py is removed first: without it the frozen firmware starts."""
     board = FakeBoard()
     board.disk["custom.py"] = b"# mine"
     put(board, made)
@@ -365,6 +398,7 @@ def test_firmware_other_than_the_frozen_one_is_copied_as_files(made: build.Build
     board = FakeBoard(PICO._replace(frozen="01234567"))
     result = put(board, made)
     assert (result.frozen, result.runs_frozen) == ("01234567", False)
+    # main.py is written last: it starts the files
     assert {*made.files} < {*board.disk} and board.writes()[-1] == "main.py"
 
 
@@ -378,6 +412,7 @@ def test_deploy_reports_which_firmware_runs(runs: bool, said: str) -> None:
 
 
 def test_foreign_main_py_is_not_lost_to_frozen_firmware(made: build.Build, frozen: str) -> None:
+    """A user's main.py is removed only with replace=True."""
     board = FakeBoard(PICO._replace(frozen=frozen))
     board.disk["main.py"] = b"# mine"
     with pytest.raises(DeployError, match=r"main\.py was not put on the board"):
@@ -390,5 +425,5 @@ def test_frozen_helper_imports_no_firmware_package() -> None:
     """The first lines of all other modules need the helper, so it is imported before them."""
     text = (paths.FIRMWARE / "base" / "frozen.py").read_text()
     packages = {path.name for path in paths.FIRMWARE.iterdir() if path.is_dir()}
-    found = {name.partition(".")[0] for name in board_check.imports(text)}
-    assert not found & packages
+    imported = {name.partition(".")[0] for name in board_check.imports(text)}
+    assert not imported & packages

@@ -692,6 +692,7 @@ def talk(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Callable[.
     table: dict[bytes, bytes | None] = {}
 
     def play() -> None:
+        """Answer at the other end of the port until it is closed."""
         with contextlib.suppress(OSError):
             while data := os.read(master, 100):
                 answer = table.get(data, b"")
@@ -701,6 +702,7 @@ def talk(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Callable[.
         os.close(master)
 
     def deploy_there(answers: Mapping[bytes, bytes | None]) -> str:
+        """Add answers to the table, deploy, and return the output."""
         table.update(answers)
         threading.Thread(target=play, daemon=True).start()
         done = ugrbl("deploy", "--board", "rpi_pico", "--port", port)
@@ -713,7 +715,7 @@ def talk(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Callable[.
 
 def test_moving_machine_is_not_disturbed(talk: Callable[..., str]) -> None:
     said = talk({b"?": b"<Run|MPos:1.000,0.000,0.000|FS:100,0>\r\n"})
-    assert "is in Run, and is not disturbed -> wait until the job has ended" in said
+    assert "is in Run, and is not interrupted" in said
 
 
 def test_held_machine_is_reported_with_the_remedy(talk: Callable[..., str]) -> None:

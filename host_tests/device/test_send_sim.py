@@ -189,7 +189,7 @@ def test_ctrl_c_holds_and_asks_whether_to_continue(
     code, text = send.end()
     state, (x, _, _) = place(bench)
     assert (code, state) == (0 if answer == "r" else 1, "Idle")
-    assert (x == 30.0) == ("being made" not in text) == (answer == "r")
+    assert (x == 30.0) == ("being executed" not in text) == (answer == "r")
 
 
 def test_closed_terminal_holds_first(bench: Bench, tmp_path: Path) -> None:
@@ -406,7 +406,7 @@ def test_from_line_follows_the_moves_of_user_words_in_their_file(
     words = ("--from-line", "9", "--yes", "--custom", str(tmp_path / "mine.py"))
     code, text = Send(own_bench, tmp_path, OWN_CUTS, *words).end()
     assert code == 0, text
-    assert "across to X5.000 Y4.000" in text and "note: vacuum is on by then" in text
+    assert "across to X5.000 Y4.000" in text and "note: vacuum has to be on" in text
     assert b"G53 G0 X5.000 Y4.000" in own_bench.wire(">")
     assert place(own_bench)[1] == [6.0, 4.0, 5.0]
 
