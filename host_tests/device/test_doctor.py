@@ -93,6 +93,7 @@ def test_pressed_switches_are_seen(bench: Bench) -> None:
     """--pins 5: the doctor watches the inputs for 5 s."""
 
     def press() -> None:
+        """Press and release the switch of X, then the probe."""
         for pin in ("limit_x", "probe"):
             time.sleep(1.2)  # s: the doctor reads settings first, and sees each press once
             bench.push(pin)

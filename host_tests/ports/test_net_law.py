@@ -269,6 +269,8 @@ def record(
     storm = Storm(bench, (tcp_sockets.port, http_sockets.port), seed or 0)
 
     def script(bench: NetBench) -> Iterator[Any]:
+        """Connect the controlling client (by), stream the program during the storm, and record
+        the segments (rows) and the final state."""
         bench.rig.port.push({"limit_x": False})
         if by == "network":
             driver = bench.call()
@@ -422,6 +424,8 @@ def test_all_complete_lines_of_a_lost_client_are_executed(
         bench = NetBench(monkeypatch, FAST)
 
         def script(bench: NetBench) -> Iterator[Any]:
+            """Stream for lost_ms, lose the client if `lost`, and wait until all motion has
+            ended."""
             driver = bench.call()
             yield from bench.until(lambda: b"Grbl" in driver.got)
             yield bench.rig.ms(100)
@@ -466,6 +470,8 @@ def test_a_soak_of_clients_changes_no_segment(monkeypatch: pytest.MonkeyPatch) -
     rounds = 0
 
     def script(bench: NetBench) -> Iterator[Any]:
+        """Stream the program at the cable round after round. The second round is the model for
+        those with a storm of clients."""
         nonlocal rounds
         heard: list[str] = []
 

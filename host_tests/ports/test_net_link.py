@@ -24,6 +24,7 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> NetBench:
 
 def test_a_client_is_welcomed_and_takes_control_with_its_first_line(bench) -> None:
     def script(bench):
+        """The first line of a trusted client is executed; its report shows the move."""
         pipe = yield from joined(bench)
         answer = yield from bench.ask(pipe, "G1X2F600\n")
         assert answer == "ok\r\n"
@@ -38,9 +39,8 @@ def test_a_client_is_welcomed_and_takes_control_with_its_first_line(bench) -> No
 
 
 def test_the_cable_sender_gets_its_answers_while_clients_are_connected(bench) -> None:
-    """A client on the network receives nothing of them."""
-
     def script(bench):
+        """The sender at the cable is answered; a client on the network receives nothing of it."""
         pipe = yield from joined(bench)
         yield from bench.sender.wait("ok", "$G\n")
         lines = bench.sender.take()
@@ -54,9 +54,8 @@ def test_the_cable_sender_gets_its_answers_while_clients_are_connected(bench) ->
 
 
 def test_a_report_goes_only_to_the_client_that_asked(bench) -> None:
-    """ "?" requests a status report, which begins with "<"."""
-
     def script(bench):
+        """Of two clients only the one that sends "?" receives the status report, "<...>"."""
         silent, asking = bench.call(), bench.call()
         yield from connected(bench, silent)
         yield from connected(bench, asking)
@@ -71,9 +70,8 @@ def test_a_report_goes_only_to_the_client_that_asked(bench) -> None:
 
 @pytest.mark.parametrize("line", ["$G\n", "$#\n", "$I\n", "$N\n", "$$\n"])
 def test_an_answer_goes_only_to_the_client_that_asked(bench, line: str) -> None:
-    """Only messages, as that of M30, are for all clients."""
-
     def script(bench):
+        """Answers to `line` go to one of two clients; only messages, as that of M30, go to all."""
         asking = yield from joined(bench)
         silent = bench.call()
         yield from connected(bench, silent)
@@ -88,9 +86,8 @@ def test_an_answer_goes_only_to_the_client_that_asked(bench, line: str) -> None:
 
 @pytest.mark.parametrize("line", ["G1X1F100\n", "$H\n", "$J=G91X1F100\n", "$110=7\n", "$RST=*\n"])
 def test_without_the_key_no_command_is_executed(bench, line: str) -> None:
-    """Neither a line nor a real-time command; error:9 is "locked"."""
-
     def script(bench):
+        """Send a command (line) and real-time bytes without the key; error:9 is "locked"."""
         pipe = bench.call("10.0.0.1")
         yield from connected(bench, pipe)
         before = list(bench.store.files["settings"])
@@ -107,6 +104,7 @@ def test_without_the_key_no_command_is_executed(bench, line: str) -> None:
 
 def test_without_the_key_a_sender_completes_its_start_queries(bench) -> None:
     def script(bench):
+        """Without the key, all queries that senders send at their start are answered."""
         pipe = bench.call("10.0.0.1")
         yield from connected(bench, pipe)
         answers = {}
@@ -120,10 +118,8 @@ def test_without_the_key_a_sender_completes_its_start_queries(bench) -> None:
 
 
 def test_with_the_key_commands_are_executed_and_each_connection_must_send_it(bench) -> None:
-    """The key may be sent in lower case. A second connection from the same address needs it
-    again."""
-
     def script(bench):
+        """Send the key in lower case; a second connection from the same address needs it again."""
         pipe = bench.call("10.0.0.1")
         yield from connected(bench, pipe)
         assert (yield from bench.ask(pipe, f"$net/key={KEY.lower()}\n")) == "ok\r\n"
@@ -151,9 +147,8 @@ def test_a_machine_without_a_key_trusts_no_client(bench) -> None:
 
 
 def test_lines_of_two_clients_are_never_mixed(bench) -> None:
-    """While one client controls, lines of another and of the cable are refused."""
-
     def script(bench):
+        """While one client controls, lines of another and of the cable are refused."""
         one, two = bench.call(), bench.call()
         yield from connected(bench, one)
         yield from connected(bench, two)
@@ -172,9 +167,9 @@ def test_lines_of_two_clients_are_never_mixed(bench) -> None:
 def test_another_client_may_take_control_if_the_first_is_silent_and_the_machine_idle(
     bench,
 ) -> None:
-    """The first is notified when the second takes control."""
-
     def script(bench):
+        """After 6 s without a line of the first client, the second takes control with its line;
+        the first is notified."""
         first, second = bench.call(), bench.call()
         yield from connected(bench, first)
         yield from connected(bench, second)
@@ -200,6 +195,8 @@ def test_stops_act_from_any_trusted_client_during_anothers_control(
     cable or another client with the key. A client without the key (stranger) stops nothing."""
 
     def script(bench):
+        """Send a stop (byte) while another client moves the machine: without the key it does
+        nothing, from the cable or from a client with the key (by) it stops the motion."""
         stranger = bench.call("10.0.0.1")
         yield from connected(bench, stranger)
         yield from bench.ask(stranger, "$$\n")  # reading does not give it control
@@ -220,9 +217,8 @@ def test_stops_act_from_any_trusted_client_during_anothers_control(
 
 @pytest.mark.parametrize("byte", ["!", "\x18", "\x84"])
 def test_stops_act_while_another_client_floods_its_connection(bench, byte: str) -> None:
-    """The flooding client is the one in control."""
-
     def script(bench):
+        """A stop (byte) acts although the client in control sends 100 kB at once."""
         flooding, stopping = (yield from joined(bench)), (yield from joined(bench))
         assert (yield from bench.ask(flooding, "G1X50F300\n")) == "ok\r\n"
         flooding.send("?" * 100_000)
@@ -235,9 +231,9 @@ def test_stops_act_while_another_client_floods_its_connection(bench, byte: str) 
 
 
 def test_a_client_that_only_reads_is_never_in_control(bench) -> None:
-    """Neither while nobody is in control, nor after the controlling client was silent."""
-
     def script(bench):
+        """Queries without the key give no control: neither while nobody has it, nor after the
+        controlling client was silent."""
         stranger = bench.call("10.0.0.1")
         yield from connected(bench, stranger)
         for _ in range(3):
@@ -253,9 +249,8 @@ def test_a_client_that_only_reads_is_never_in_control(bench) -> None:
 
 
 def test_a_half_line_of_a_closed_connection_is_discarded(bench) -> None:
-    """ "G1X9" without a line end must not become "G1X9Y1" with the next client's line."""
-
     def script(bench):
+        """ "G1X9" without a line end must not become "G1X9Y1" with the next client's line."""
         closed = yield from joined(bench)
         assert (yield from bench.ask(closed, "G1X1F600\n")) == "ok\r\n"
         closed.send("G1X2\nG1X9")
@@ -270,9 +265,9 @@ def test_a_half_line_of_a_closed_connection_is_discarded(bench) -> None:
 
 
 def test_answers_to_a_closed_connection_go_to_no_other_client(bench) -> None:
-    """Three lines of a client that has gone are answered after the next one has connected."""
-
     def script(bench):
+        """Three lines of a client that has gone are executed after the next client has
+        connected; only the answers to its own lines go to that."""
         closed = yield from joined(bench)
         closed.send("G4P2\nG1X1F600\nG1X2\n")  # a dwell of 2 s: no answer before it closes
         yield from bench.wait(100)
@@ -290,6 +285,8 @@ def test_answers_to_a_closed_connection_go_to_no_other_client(bench) -> None:
 
 def test_a_jog_ends_when_its_client_disconnects_and_a_program_continues(bench) -> None:
     def script(bench):
+        """A jog stops when its connection breaks, since nobody could cancel it. A move of a
+        program is executed to its end."""
         jogging = yield from joined(bench)
         assert (yield from bench.ask(jogging, "$J=G91X50F300\n")) == "ok\r\n"
         yield from bench.wait(500)
@@ -308,9 +305,9 @@ def test_a_jog_ends_when_its_client_disconnects_and_a_program_continues(bench) -
 
 
 def test_jogs_that_wait_end_with_their_client(bench) -> None:
-    """25 jogs fill the planner, one waits for space there, and more are in the receive buffer."""
-
     def script(bench):
+        """25 jogs fill the planner, one waits for space there, and more are in the receive
+        buffer: none is executed after their connection has broken."""
         jogging = yield from joined(bench)
         jogging.send("$J=G91X5F600\n" * 25)
         yield from bench.wait(1000)
@@ -342,10 +339,9 @@ _JOB_STEPS = [57 * 25, 57 * 50, 0]  # 57 moves of 0.1 and 0.2 mm
 def test_lines_of_a_job_are_executed_whole_whoever_comes_and_goes(
     with_job, lost_ms: int, partial_line: str
 ) -> None:
-    """The client that started a job ($F=) is lost lost_ms later, after a part of a line, while
-    a client without the key connects and leaves."""
-
     def script(bench):
+        """Start a job from a client, lose that client lost_ms later after partial_line, and let
+        a client without the key come and go: the job is not disturbed."""
         starter = yield from joined(bench)
         assert (yield from bench.ask(starter, "$F=A.NC\n")).startswith("ok")
         yield from bench.wait(lost_ms)
@@ -362,9 +358,9 @@ def test_lines_of_a_job_are_executed_whole_whoever_comes_and_goes(
 
 
 def test_line_of_a_client_that_takes_control_during_a_job_is_refused(with_job) -> None:
-    """A job ($F=) runs; the client that started it has gone."""
-
     def script(bench):
+        """A job ($F=) runs, and the client that started it has gone: lines of another are
+        refused."""
         starter = yield from joined(bench)
         assert (yield from bench.ask(starter, "$F=A.NC\n")).startswith("ok")
         yield from bench.wait(1500)  # in the dwell
@@ -380,10 +376,9 @@ def test_line_of_a_client_that_takes_control_during_a_job_is_refused(with_job) -
 
 
 def test_a_reconnected_client_can_resume_a_moving_machine(bench) -> None:
-    """A new connection may hold ("!") at once, but resume ("~") only once the controlling one
-    has been silent for 3 s."""
-
     def script(bench):
+        """A new connection may hold ("!") at once, but resume ("~") only once the controlling
+        one has been silent for 3 s."""
         first_connection = yield from joined(bench)
         assert (yield from bench.ask(first_connection, "G1X5F600\n")) == "ok\r\n"
         yield from bench.wait(100)
@@ -403,9 +398,9 @@ def test_a_reconnected_client_can_resume_a_moving_machine(bench) -> None:
 
 
 def test_a_client_that_does_not_read_is_dropped_without_blocking_others(bench) -> None:
-    """Its connection takes 100 bytes of output, as if the client never read."""
-
     def script(bench):
+        """A client requests 40 long answers, but its connection takes 100 bytes only: it is
+        dropped, and the cable is answered."""
         pipe = yield from joined(bench)
         pipe.room = 100
         before = bench.rig.now
@@ -420,9 +415,9 @@ def test_a_client_that_does_not_read_is_dropped_without_blocking_others(bench) -
 
 
 def test_output_to_a_silent_client_stays_within_memory(bench) -> None:
-    """A client that sends nothing does not prove that it has read; the output to it is limited."""
-
     def script(bench):
+        """A client that sends nothing does not prove that it has read: it is dropped before the
+        output to it fills the memory of the network stack."""
         pipe = yield from joined(bench)
         for _ in range(100):
             yield from bench.sender.wait("ok", "M30\n")  # its message goes to all
@@ -433,9 +428,8 @@ def test_output_to_a_silent_client_stays_within_memory(bench) -> None:
 
 
 def test_random_bytes_without_the_key_do_nothing(bench) -> None:
-    """Each byte value, then a long line."""
-
     def script(bench):
+        """Each byte value, then a long line, from a client without the key."""
         pipe = bench.call("10.0.0.1")
         yield from connected(bench, pipe)
         pipe.send(bytes(range(256)) * 40)
@@ -457,9 +451,9 @@ def test_ctrl_c_over_the_network_never_leads_to_the_prompt(bench) -> None:
 
 
 def test_the_cable_is_read_directly_after_the_last_client_has_gone(bench) -> None:
-    """_is_plain: there is no client, so the bytes of the cable need no check of who controls."""
-
     def script(bench):
+        """link._is_plain: there is no client, so the bytes of the cable need no check of who
+        controls."""
         link = bench.rig.link
         assert link._is_plain
         pipe = yield from joined(bench)
@@ -480,6 +474,8 @@ def test_only_the_cable_is_greeted_when_its_port_is_opened(bench) -> None:
     attach() was passed."""
 
     def script(bench):
+        """The port of the cable is opened (the next read of the cable reports it): the welcome
+        goes to the cable, not to a client on the network."""
         pipe = yield from joined(bench)
         machine, link = bench.rig.controller, bench.rig.link
         NetLink.attach(link, machine.at_rest, machine.welcome)
@@ -500,10 +496,9 @@ def test_only_the_cable_is_greeted_when_its_port_is_opened(bench) -> None:
 
 
 def test_a_client_dropped_in_the_middle_of_its_lines_loses_control(bench) -> None:
-    """The second client's lines would give it control, but it accepts no answers and is dropped
-    before all are executed. The first can go on at once."""
-
     def script(bench):
+        """The second client's lines would give it control, but it accepts no answers and is
+        dropped before all are executed. The first can go on at once."""
         first, dropped = bench.call(), bench.call()
         yield from connected(bench, first)
         yield from connected(bench, dropped)
@@ -520,9 +515,8 @@ def test_a_client_dropped_in_the_middle_of_its_lines_loses_control(bench) -> Non
 
 
 def test_all_lines_of_a_new_client_are_executed_after_those_of_the_last(bench) -> None:
-    """The dwell of a client that has gone delays them; none is lost."""
-
     def script(bench):
+        """The dwell of a client that has gone delays the lines of the next one; none is lost."""
         last_client = yield from joined(bench)
         last_client.send("G4P1.5\n")  # a dwell of 1.5 s
         yield from bench.wait(100)
@@ -537,9 +531,8 @@ def test_all_lines_of_a_new_client_are_executed_after_those_of_the_last(bench) -
 
 
 def test_a_line_begun_at_the_cable_is_not_broken_by_a_connection(bench) -> None:
-    """ "G91 " and the rest that comes later are one line: the move is relative."""
-
     def script(bench):
+        """ "G91 " and what comes 6 s later are one line, although a client connects in between."""
         bench.rig.link.cable.send(b"G91 ")
         yield from bench.wait(6000)  # control is free for a sender that is silent so long
         stranger = bench.call("10.0.0.66")
@@ -553,10 +546,9 @@ def test_a_line_begun_at_the_cable_is_not_broken_by_a_connection(bench) -> None:
 
 
 def test_network_settings_of_a_client_that_hung_up_are_not_the_cables(bench) -> None:
-    """A command for a new key waits after a dwell when its client leaves. It is not executed as
-    a line of the cable, which alone may set the key."""
-
     def script(bench):
+        """A command for a new key waits after a dwell when its client leaves. It must not be
+        executed as a line of the cable, which alone may set the key."""
         closed = yield from joined(bench)
         yield from bench.ask(closed, f"$NET/KEY={KEY}\n")
         closed.send("G4P1\n$NET/KEY=NEW\n")
@@ -571,9 +563,8 @@ def test_network_settings_of_a_client_that_hung_up_are_not_the_cables(bench) -> 
 
 
 def test_a_long_answer_arrives_complete(bench) -> None:
-    """The settings three times, more than is queued at once."""
-
     def script(bench):
+        """The answer to $$ is three times as long here: more than is queued at once."""
         pipe = yield from joined(bench)
         machine = bench.rig.controller
         show_once = machine.commands.show_settings
@@ -595,9 +586,8 @@ def silent_owner_and_other(bench, sends=""):
 
 
 def test_a_polling_client_neither_takes_nor_loses_control(bench) -> None:
-    """Queries may be sent at any time, but give no control."""
-
     def script(bench):
+        """A client that only sends queries is answered at any time, but never gets control."""
         owner, polling = (yield from joined(bench)), (yield from joined(bench))
         for k in range(4):
             assert (yield from bench.ask(owner, f"G91G1X{k + 1}F60000\n")) == "ok\r\n"
@@ -625,9 +615,9 @@ def test_a_command_after_a_query_takes_control_and_loses_no_answer(bench) -> Non
 
 
 def test_lines_of_the_controlling_client_wait_while_another_reads(bench) -> None:
-    """At any delay: all lines are executed, and answered to the client that sent them."""
-
     def script(bench):
+        """Another client has just sent queries (delay_ms / 4 ago) when the owner sends lines:
+        all lines are executed, and answered to the client that sent them."""
         owner, reading = (yield from joined(bench)), (yield from joined(bench))
         for delay_ms in range(0, 60, 4):
             yield from bench.ask(owner, "G91G1X1F60000\n")
@@ -647,9 +637,8 @@ def test_lines_of_the_controlling_client_wait_while_another_reads(bench) -> None
 
 
 def test_a_reader_that_disconnects_does_not_change_control(bench) -> None:
-    """It disconnects while its answer is sent."""
-
     def script(bench):
+        """Another client disconnects while its answer is sent; the owner keeps control."""
         owner, other = yield from silent_owner_and_other(bench)
         other.send("$$\n")
         yield from bench.wait(1)
@@ -684,9 +673,9 @@ def test_a_begun_line_is_not_broken_by_a_reading_client(bench) -> None:
 
 
 def test_a_jog_ends_when_its_client_disconnects_while_another_reads(bench) -> None:
-    """The jog arrives while the answer to $$ is sent, and its client hangs up."""
-
     def script(bench):
+        """The jog arrives while the answer to another client is sent, and its own client hangs
+        up: the machine is idle soon."""
         owner, other = yield from silent_owner_and_other(bench)
         other.send("$$\n")
         yield from bench.wait(1)
@@ -699,9 +688,9 @@ def test_a_jog_ends_when_its_client_disconnects_while_another_reads(bench) -> No
 
 
 def test_a_client_without_the_key_blocks_no_other_client(bench) -> None:
-    """It reads the settings at varying times; each of 20 clients with the key takes control."""
-
     def script(bench):
+        """A client without the key reads the settings at varying times; each of 20 clients with
+        the key takes control."""
         stranger, controlling = bench.call("10.0.0.9"), (yield from joined(bench))
         yield from bench.wait(20)
         for k in range(20):

@@ -31,6 +31,7 @@ def test_wrong_keys_close_their_connection_and_lock_nobody_out(bench) -> None:
     answer_ms = 100  # no wrong key may delay an answer for longer
 
     def script(bench):
+        """Send wrong keys from one address, and each time the right one from another."""
         for number in range(40):  # many more than the 3 places
             wrong, right = bench.call("10.0.0.1"), bench.call(f"10.0.1.{number}")
             yield from bench.wait(few_rounds_ms)
@@ -45,9 +46,9 @@ def test_wrong_keys_close_their_connection_and_lock_nobody_out(bench) -> None:
 
 
 def test_clients_without_the_key_make_place_for_others(bench) -> None:
-    """A fourth client is refused at once, but after 250 ms takes the place of one of them."""
-
     def script(bench):
+        """Three clients without the key have all places: a fourth is refused at once, but after
+        250 ms takes the place of one of them."""
         first_clients = [bench.call(f"10.0.0.{n}") for n in (1, 2, 3)]
         for pipe in first_clients:
             yield from connected(bench, pipe)
@@ -66,9 +67,8 @@ def test_clients_without_the_key_make_place_for_others(bench) -> None:
 
 
 def test_a_computer_that_reconnects_again_and_again_takes_only_its_own_place(bench) -> None:
-    """20 connections from the first address replace the one it has, never the others."""
-
     def script(bench):
+        """20 connections from the first address replace the one it has, never the others."""
         first_clients = [bench.call(f"10.0.0.{n}") for n in (1, 2, 3)]
         for pipe in first_clients:
             yield from connected(bench, pipe)
@@ -82,9 +82,8 @@ def test_a_computer_that_reconnects_again_and_again_takes_only_its_own_place(ben
 
 
 def test_a_client_waiting_for_a_long_move_keeps_its_place(bench) -> None:
-    """All three places have clients with the key; 150 others call meanwhile."""
-
     def script(bench):
+        """All three places have clients with the key; 150 clients without it call meanwhile."""
         waiting, watching, third = yield from three(bench)
         waiting.send("G1X20F60\nG4P0\n")  # 20 mm at 1 mm/s, then the answer
         for number in range(150):
@@ -114,9 +113,9 @@ def test_a_lost_client_with_the_key_keeps_its_place_for_ten_minutes() -> None:
 
 
 def test_a_client_without_the_key_gets_a_limited_number_of_bytes(bench) -> None:
-    """After these bytes only the key is answered."""
-
     def script(bench):
+        """Two clients without the key ask again and again: they receive their share of memory.
+        After it only the key is answered."""
         pipes = [bench.call(f"10.0.0.{n}") for n in (1, 2)]
         for pipe in pipes:
             yield from bench.until(lambda pipe=pipe: WELCOME.encode() in pipe.got)
@@ -133,11 +132,10 @@ def test_a_client_without_the_key_gets_a_limited_number_of_bytes(bench) -> None:
 
 @pytest.mark.parametrize("how", ["has_hung_up", "is_broken"])
 def test_memory_of_closed_connections_counts_for_ten_seconds(bench, how: str) -> None:
-    """60 clients connect and close one after another. After an orderly end lwIP keeps the
-    output, so that together they receive 2400 bytes. After a reset (is_broken) it has freed the
-    memory."""
-
     def script(bench):
+        """60 clients connect and close one after another (how). After an orderly end lwIP keeps
+        the output, so that together they receive 2400 bytes. After a reset (is_broken) it has
+        freed the memory."""
         total_bytes = 0
         for number in range(60):
             pipe = bench.call(f"10.0.0.{number}")
@@ -155,10 +153,9 @@ def test_memory_of_closed_connections_counts_for_ten_seconds(bench, how: str) ->
 
 
 def test_no_lwip_memory_is_counted_after_a_day_of_clients(bench) -> None:
-    """50 clients with and without the key, browsers and silent ones, close or reset: no byte
-    stays counted by mistake."""
-
     def script(bench):
+        """50 clients with and without the key, browsers and silent ones, end in different ways:
+        no byte stays counted by mistake."""
         for number in range(50):
             pipe = bench.call(f"10.0.0.{number}")
             pipe.send(("?$$\n", f"$NET/KEY={KEY}\n$$\n", "GET / HTTP/1.1\r\n", "")[number % 4])
@@ -193,12 +190,11 @@ def test_no_lwip_memory_is_counted_after_a_day_of_clients(bench) -> None:
 def test_browser_requests_are_closed_before_anything_acts(
     bench, method: str, address: str
 ) -> None:
-    """A web page may make a browser connect to the port for senders. A connection that begins
-    with an HTTP method, or a TLS handshake (\\x16\\x03), is closed although stops and lines
-    follow."""
     body = f"$NET/KEY={KEY}\n$J=G91X9F900\n"
 
     def script(bench):
+        """A connection that begins with an HTTP method, or a TLS handshake, is closed although
+        stops and lines follow: a web page may make a browser connect to this port."""
         pipe = bench.call(address)
         pipe.send(f"{method} /!\x18~ HTTP/1.1\r\nHost: ugrbl:23\r\n\r\n{body}")
         yield from bench.until(lambda: pipe.is_closed, 200)

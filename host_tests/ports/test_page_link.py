@@ -33,9 +33,8 @@ def test_the_first_page_fits_into_one_piece() -> None:
 
 
 def test_a_request_for_the_next_piece_proves_that_the_last_was_read(bench) -> None:
-    """All pieces arrive without a wait, each after the request for it."""
-
     def script(bench):
+        """Load the page: all pieces arrive without a wait, each after the request for it."""
         pipe, head, first = yield from bench.get(request("/"))
         assert head.startswith(b"HTTP/1.1 200 OK\r\n") and b"frame-ancestors 'none'" in head
         assert b"connect-src 'self' ws://ugrbl.local;" in head and b"page" in first
@@ -93,9 +92,8 @@ def test_a_request_for_the_next_piece_proves_that_the_last_was_read(bench) -> No
     ],
 )
 def test_an_invalid_request_is_refused_with_a_sentence(bench, status: int, data: bytes) -> None:
-    """The body explains the status; the connection is closed, and nothing moves."""
-
     def script(bench):
+        """An invalid request (data) is answered with its status and an explanation, and closed."""
         pipe, head, body = yield from bench.get(data)
         assert head.startswith(f"HTTP/1.1 {status} ".encode()), head
         assert len(body) > 10 and body.endswith(b"\n")
@@ -130,9 +128,8 @@ def test_a_missing_page_is_reported(bench, tmp_path: Path) -> None:
 def test_a_slow_request_is_served_and_an_endless_one_is_dropped(
     bench,
 ) -> None:
-    """Two requests arrive in small parts; one of them never ends and is dropped after 2 s."""
-
     def script(bench):
+        """Two requests arrive in small parts; one of them never ends and is dropped after 2 s."""
         slow, endless = bench.visit(), bench.visit()
         complete_request = request("/3")
         for start in range(0, len(complete_request), 4):
@@ -152,10 +149,9 @@ def test_a_slow_request_is_served_and_an_endless_one_is_dropped(
 
 
 def test_visitors_without_proof_of_reading_get_three_pieces_in_ten_seconds(bench) -> None:
-    """Whether they request more without reading, say nothing, hang up, or guess the random
-    number. Three pieces are 2400 bytes with their heads."""
-
     def script(bench):
+        """40 visitors request more without reading, say nothing, hang up, or guess the random
+        number: in 10 s they get three pieces, 2400 bytes with their heads."""
         visitors = []
         for number in range(40):
             visitors.append(bench.visit())
@@ -170,9 +166,8 @@ def test_visitors_without_proof_of_reading_get_three_pieces_in_ten_seconds(bench
 
 
 def test_a_visitor_with_proof_of_reading_is_served_whatever_others_do(bench) -> None:
-    """Another visitor has used all memory that visitors without proof may use."""
-
     def script(bench):
+        """Another visitor has used all memory that visitors without proof of reading may use."""
         pipe, head, _ = yield from bench.get(request("/0"))
         unproved = bench.visit()
         for path in ("/", "/0", "/1", "/2"):
@@ -187,9 +182,8 @@ def test_a_visitor_with_proof_of_reading_is_served_whatever_others_do(bench) -> 
 
 
 def test_memory_of_a_reset_connection_is_free_at_once(bench) -> None:
-    """Ten pieces are sent within less than 10 s; without the resets only three would be."""
-
     def script(bench):
+        """Ten pieces are sent within less than 10 s; without the resets only three would be."""
         for _ in range(10):
             pipe = bench.visit()
             pipe.send(request("/0"))
@@ -204,10 +198,9 @@ def test_memory_of_a_reset_connection_is_free_at_once(bench) -> None:
 
 
 def test_a_page_controls_like_a_sender_over_tcp(bench) -> None:
-    """ "driver": this page controls; "drivers" and "watchers": how many clients do, and only
-    read."""
-
     def script(bench):
+        """A page sends lines. "driver": it controls; "drivers", "watchers": how many clients
+        do, and only read."""
         page = yield from bench.open()
         assert page.news() == (
             '{"link":{"name":"ugrbl","open":true},"driver":false,"drivers":0,"watchers":1,'
@@ -226,9 +219,9 @@ def test_a_page_controls_like_a_sender_over_tcp(bench) -> None:
 
 
 def test_one_of_two_pages_controls_and_both_are_notified(bench) -> None:
-    """The second page takes control once the first has sent no command for 5 s."""
-
     def script(bench):
+        """The second page is refused, and takes control once the first has sent no command for
+        5 s."""
         first, second = (yield from bench.open()), (yield from bench.open())
         assert (yield from bench.say(first, "G1X1F600")) == "ok\r\n"
         yield from bench.wait(50)
@@ -250,9 +243,9 @@ def test_one_of_two_pages_controls_and_both_are_notified(bench) -> None:
 
 
 def test_a_page_without_the_key_may_only_read(bench) -> None:
-    """ "key":true in the state message: the page must ask for the key."""
-
     def script(bench):
+        """A page from another computer ("key":true: it must ask for the key) reads, is refused,
+        sends a wrong key, then the right one."""
         page = yield from bench.open("10.0.0.1")
         assert '"key":true' in page.news()
         assert (yield from bench.say(page, "$$")).endswith("ok\r\n")
@@ -271,10 +264,9 @@ def test_a_page_without_the_key_may_only_read(bench) -> None:
 
 
 def test_a_message_may_come_in_any_parts(bench) -> None:
-    """One message in four frames, with a ping and a pong between them, arrives byte by byte:
-    "G9" "1" "" "G1X1F600". The second, "X2", is relative as well."""
-
     def script(bench):
+        """One message in four frames, with a ping and a pong between them, arrives byte by
+        byte: "G9" "1" "" "G1X1F600". The second, "X2", is relative as well."""
         page = yield from bench.open()
         parts = frame("G9", last=False) + frame("hello", PING) + frame("1", 0, last=False)
         parts += frame("", 0, last=False) + frame("G1X1F600\n", 0) + frame("x" * 40, PONG)
@@ -314,9 +306,9 @@ def test_a_message_may_come_in_any_parts(bench) -> None:
 def test_an_invalid_frame_closes_the_connection_and_moves_nothing(
     bench, code: int, data: bytes
 ) -> None:
-    """code: the status in the close frame that the machine sends (RFC 6455, 7.4.1)."""
-
     def script(bench):
+        """An invalid frame (data) is answered by a close frame with this code (RFC 6455,
+        7.4.1)."""
         page = yield from bench.open()
         page.pipe.send(data + frame("G1X9F900\n"))
         yield from bench.until(lambda: page.pipe.is_closed, 200)
@@ -329,9 +321,8 @@ def test_an_invalid_frame_closes_the_connection_and_moves_nothing(
 
 
 def test_a_page_that_does_not_read_is_dropped_without_blocking_others(bench) -> None:
-    """Its connection takes 100 bytes of output."""
-
     def script(bench):
+        """A page requests 40 long answers, but its connection takes 100 bytes only."""
         page = yield from bench.open()
         page.pipe.room = 100
         before = bench.rig.now
@@ -349,10 +340,9 @@ def test_a_page_that_does_not_read_is_dropped_without_blocking_others(bench) -> 
 def test_output_to_a_silent_page_stays_within_memory(
     bench,
 ) -> None:
-    """The page stops answering the machine's pings, which prove that it reads. It is dropped
-    after at most 2000 bytes."""
-
     def script(bench):
+        """The page stops answering the machine's pings, which would prove that it reads. It is
+        dropped after at most 2000 bytes."""
         page = yield from bench.open()
         page.look()  # read what has arrived so far
         page.reads = False
@@ -372,11 +362,11 @@ def test_output_to_a_silent_page_stays_within_memory(
 def test_a_page_of_the_board_gives_the_same_motion_as_the_cable(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """A long program, streamed with character counting in messages as the page sends them."""
     bench = PageBench(monkeypatch, tmp_path, {110: 6000, 111: 6000, 120: 2000, 121: 2000})
     lines = [f"G1X{i % 7}Y{i % 3}F3000" for i in range(200)]
 
     def script(bench):
+        """Stream a long program with character counting, in messages as the page sends them."""
         page = yield from bench.open()
         lines_left, lengths_sent, answered = list(lines), [], 0
         while lines_left or lengths_sent:
@@ -397,10 +387,9 @@ def test_a_page_of_the_board_gives_the_same_motion_as_the_cable(
 
 
 def test_the_prompt_closes_all_network_connections(bench) -> None:
-    """close() is called before the MicroPython prompt takes over: for a browser that has sent
-    nothing yet (visitor), and for a page."""
-
     def script(bench):
+        """close() is called before the MicroPython prompt takes over: it closes a browser that
+        has sent nothing yet (visitor), and a page."""
         visitor = bench.visit()
         yield from bench.wait(50)
         page = yield from bench.open()

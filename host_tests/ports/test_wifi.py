@@ -129,10 +129,10 @@ def test_an_access_point_becomes_a_station_by_the_tool(bench: NetBench, password
 
 
 def test_the_network_is_set_up_only_while_idle_and_only_at_the_cable(bench: NetBench) -> None:
-    """A trusted client may read the state of the network ($NET), but not set it up."""
     before = list(bench.store.files["network"])
 
     def script(bench: NetBench) -> Iterator[Any]:
+        """A trusted client may read the state of the network ($NET), but not set it up."""
         pipe = bench.call()
         yield from bench.until(lambda: b"Grbl" in pipe.got)
         answer = yield from bench.ask(pipe, "$NET/HOST=evil\n")
@@ -148,12 +148,13 @@ def test_the_network_is_set_up_only_while_idle_and_only_at_the_cable(bench: NetB
 
 
 def test_a_new_machine_makes_a_key_and_shows_it_once_at_the_cable(bench: NetBench) -> None:
-    """All output at the cable is collected (output); a client on the network does not receive
-    the key, and a reset does not show it again."""
+    """All output at the cable is collected (output)."""
     del bench.store.files["network"]  # as on a new machine
     heard: list[str] = []
 
     def script(bench: NetBench) -> Iterator[Any]:
+        """Reset a new machine while a client is connected: the client does not receive the key,
+        and the reset does not show it again."""
         pipe = bench.call()
         yield from bench.until(lambda: b"Grbl" in pipe.got)
         pipe.send("\n")
@@ -172,9 +173,9 @@ def test_a_new_machine_makes_a_key_and_shows_it_once_at_the_cable(bench: NetBenc
 
 
 def test_a_new_key_ends_the_rights_of_the_old_one(bench: NetBench) -> None:
-    """Its client is disconnected, and the old key is refused."""
-
     def script(bench: NetBench) -> Iterator[Any]:
+        """A client has sent the key; then the cable makes a new one. The client is
+        disconnected, and the old key is refused."""
         pipe = bench.call("10.0.0.1")
         yield from bench.until(lambda: b"Grbl" in pipe.got)
         assert (yield from bench.ask(pipe, f"$NET/KEY={KEY}\n")) == "ok\r\n"
