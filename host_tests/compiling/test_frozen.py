@@ -327,7 +327,7 @@ def test_only_the_boards_own_files_lie_next_to_frozen_firmware(
 ) -> None:
     out = tmp_path / "all.uf2"
     result = ugrbl_uf2("--micropython", str(image), "-o", str(out))
-    assert "which runs" in result.output and "is lost then" in result.output
+    assert "which runs" in result.output and "are lost" in result.output
     # [1]: files on the board after its first start
     assert {*after_a_drag(out.read_bytes())[1]} == {"board.py", LIST}
 

@@ -247,7 +247,7 @@ async def test_job_of_lost_client_is_held_and_continues_on_request(tmp_path: Pat
         await driver.report("Run")
         driver.vanish()
         await watcher.told(drivers=0)
-        assert "was in Run: it is held (!)" in site.log[-1]
+        assert "was in Run: the motion is held (!)" in site.log[-1]
         await watcher.drive(True)
         held = await watcher.report("Hold:0")
         assert 0 <= float(held.partition("MPos:")[2].partition(",")[0]) < 20
