@@ -396,6 +396,7 @@ def test_only_changed_files_are_copied_and_main_is_removed_meanwhile(made: build
 
 
 def test_settings_and_user_files_stay(made: build.Build) -> None:
+    """Deploy twice on a board with stored settings and files of the user."""
     board = FakeBoard()
     user_files = {"lib/mine.py": b"1", "my_tool.py": b"2", "boot.py": b"3"}
     board.disk.update(user_files)
@@ -513,6 +514,7 @@ def test_uf2_file_contains_the_page(with_page: build.Build) -> None:
 
 
 def test_board_file_changed_on_the_board_is_not_lost(made: build.Build) -> None:
+    """The user has edited board.py there: it is replaced only on request."""
     board = FakeBoard()
     put(board, made)
     board.disk["board.py"] += b"PROBE = 28\n"

@@ -164,6 +164,7 @@ class Impostor(threading.Thread):
         self.over = threading.Event()
 
     def run(self) -> None:
+        """Every 20 ms: read, send the answers to what was read, and what is always sent."""
         while not self.over.wait(0.02):
             try:
                 data = os.read(self._master, 4096)
@@ -275,6 +276,7 @@ def test_board_without_a_stack_figure_gets_no_row() -> None:
 def test_underruns_of_programs_are_reported_with_the_next_step(
     count: str, verdict: str, words: str
 ) -> None:
+    """The firmware counts underruns (Drains): motion stopped because the sender was too slow."""
     (finding,) = checkup.drains(["[VER:1.1h.20261121:]", f"[MSG:Drains: {count}]", "ok"])
     assert finding.verdict == verdict and words in finding.text
     assert ("ugrbl run" in finding.todo) == (verdict == NOTE)

@@ -291,6 +291,7 @@ def test_limit_input_kept_high_by_something_else_is_reported_as_not_shown(
 def test_limits_without_pull_ups_are_left_out(
     bench: "Callable[[str], Bench]", monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Such an input floats, if no switch is wired."""
     board = bench("esp32_devkit")
     monkeypatch.setattr(board.board, "NO_PULL_UP", (35, 39, *board.board.LIMIT))
     row = board.run()["limit: time to the last step edge"]

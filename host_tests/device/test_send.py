@@ -458,6 +458,8 @@ def send_file(grbl: FakeGrbl, folder: Path, text: str, *words: str) -> Result:
 
 
 def test_comments_are_sent_as_ascii_without_realtime_bytes(grbl: FakeGrbl, tmp_path: Path) -> None:
+    """In a comment letters lose their accents, and "!" and "?", which are real-time commands,
+    become dots."""
     done = send_file(grbl, tmp_path, "(Ä Ö à!)\nG0 X1 ; Größe?\n")
     assert done.exit_code == 0, done.output
     assert grbl.lines[-2:] == [b"(A O a.)", b"G0 X1 ; Grosse."]
@@ -481,6 +483,7 @@ def test_percent_signs_at_the_ends_of_a_file_are_not_sent(grbl: FakeGrbl, tmp_pa
 def test_realtime_byte_outside_a_comment_is_refused_before_sending(
     grbl: FakeGrbl, tmp_path: Path
 ) -> None:
+    """The degree sign has bytes that Grbl takes as real-time commands."""
     done = send_file(grbl, tmp_path, "G0 X1\nG0 X2°\n\x18\n")
     assert done.exit_code == 1 and grbl.lines == []
     assert "line 2: '°'" in done.output and "line 3: Ctrl-X is a reset" in done.output

@@ -208,6 +208,7 @@ def test_closed_terminal_holds_first(bench: Bench, tmp_path: Path) -> None:
 
 @pytest.mark.sampled(1)
 def test_refused_line_ends_the_program_without_a_terminal(bench: Bench, tmp_path: Path) -> None:
+    """Nobody can be asked how to continue."""
     lines = [*STAIRS[:20], "T1 M6", *STAIRS[20:]]
     send = Send(bench, tmp_path, lines, "--no-check")
     code, text = send.end()
@@ -427,6 +428,7 @@ def test_file_that_differs_from_the_machines_is_refused(
 
 
 def test_from_line_refuses_to_start_after_a_refused_line(bench: Bench, tmp_path: Path) -> None:
+    """The refused line (G64) may have meant something that later lines need."""
     lines = [*STAIRS[:5], "G64", *STAIRS[5:9]]
     words = ("--no-check", "--from-line", "8", "--yes")
     code, text = Send(bench, tmp_path, lines, *words).end()
@@ -448,6 +450,7 @@ def test_from_line_moves_nothing_without_consent(bench: Bench, tmp_path: Path) -
 
 
 def test_remaining_time_comes_from_the_simulation(bench: Bench, tmp_path: Path) -> None:
+    """On a terminal with a live display; the job is checked by a simulation first."""
     send = Send(bench, tmp_path, STAIRS[:160], terminal=True, dumb=False)
     text = send.wait_text(" left")
     time_left = re.search(r"0:00:(\d\d) left", text)

@@ -138,7 +138,7 @@ def test_with_the_key_commands_are_executed_and_each_connection_must_send_it(ben
 
 def test_a_machine_without_a_key_trusts_no_client(bench) -> None:
     def script(bench):
-        bench.rig.link.access.secret = ""
+        bench.rig.link.access.secret = ""  # no key is stored
         pipe = bench.call("10.0.0.1")
         yield from connected(bench, pipe)
         assert (yield from bench.ask(pipe, "$NET/KEY=\n")).endswith("error:9\r\n")
@@ -149,11 +149,11 @@ def test_a_machine_without_a_key_trusts_no_client(bench) -> None:
 def test_lines_of_two_clients_are_never_mixed(bench) -> None:
     def script(bench):
         """While one client controls, lines of another and of the cable are refused."""
-        one, two = bench.call(), bench.call()
-        yield from connected(bench, one)
-        yield from connected(bench, two)
-        assert (yield from bench.ask(one, "G1X5F300\n")) == "ok\r\n"
-        answer = yield from bench.ask(two, "G1Y5F300\n")
+        controlling, other = bench.call(), bench.call()
+        yield from connected(bench, controlling)
+        yield from connected(bench, other)
+        assert (yield from bench.ask(controlling, "G1X5F300\n")) == "ok\r\n"
+        answer = yield from bench.ask(other, "G1Y5F300\n")
         assert answer == "[MSG:Somebody else drives]\r\nerror:9\r\n"
         yield from bench.sender.wait("ok", "G1Z5F300\n")
         lines = bench.sender.take()
@@ -250,7 +250,8 @@ def test_a_client_that_only_reads_is_never_in_control(bench) -> None:
 
 def test_a_half_line_of_a_closed_connection_is_discarded(bench) -> None:
     def script(bench):
-        """ "G1X9" without a line end must not become "G1X9Y1" with the next client's line."""
+        """A part of a line ("G1X9") of a client that has gone must not become "G1X9Y1" with the
+        next client's line."""
         closed = yield from joined(bench)
         assert (yield from bench.ask(closed, "G1X1F600\n")) == "ok\r\n"
         closed.send("G1X2\nG1X9")
@@ -394,7 +395,7 @@ def test_a_reconnected_client_can_resume_a_moving_machine(bench) -> None:
         yield from bench.wait(2000)
 
     bench.run(script)
-    assert bench.steps() == [1250, 0, 0]  # X5, all of the move
+    assert bench.steps() == [1250, 0, 0]  # 250 steps/mm * 5 mm, all of the move
 
 
 def test_a_client_that_does_not_read_is_dropped_without_blocking_others(bench) -> None:
@@ -443,6 +444,8 @@ def test_random_bytes_without_the_key_do_nothing(bench) -> None:
 
 
 def test_ctrl_c_over_the_network_never_leads_to_the_prompt(bench) -> None:
+    """Ctrl-C three times, or Ctrl-C and Ctrl-A, would open the MicroPython prompt at the cable."""
+
     def script(bench):
         pipe = yield from joined(bench)
         assert (yield from bench.ask(pipe, "\x03\x03\x03\x01$G\n")).endswith("ok\r\n")
@@ -532,7 +535,8 @@ def test_all_lines_of_a_new_client_are_executed_after_those_of_the_last(bench) -
 
 def test_a_line_begun_at_the_cable_is_not_broken_by_a_connection(bench) -> None:
     def script(bench):
-        """ "G91 " and what comes 6 s later are one line, although a client connects in between."""
+        """Half a line from the cable ("G91 ") and what comes 6 s later are one line, although a
+        client connects in between."""
         bench.rig.link.cable.send(b"G91 ")
         yield from bench.wait(6000)  # control is free for a sender that is silent so long
         stranger = bench.call("10.0.0.66")
