@@ -148,6 +148,7 @@ def anchors(page):
 
 @_each_page
 def test_every_link_has_a_target(page):
+    """A link, path#anchor, names a file and a heading in it; links to the web are not tried."""
     for link in _LINK.findall(text_of(page)):
         if "://" not in link:
             path, _, anchor = link.partition("#")
@@ -177,6 +178,7 @@ def known_commands():
     options_of = {}
 
     def collect(command, name):
+        """Add a command and, recursively, its subcommands. name: "" for `ugrbl` itself."""
         options_of[name] = {option for one in command.params for option in (*one.opts, "--help")}
         # Secondary options are those that switch a flag off: --no-color.
         options_of[name] |= {option for one in command.params for option in one.secondary_opts}
@@ -372,6 +374,7 @@ def test_the_story_of_a_g1_names_every_module_on_its_path():
 
 
 def test_every_decision_has_its_three_parts_and_is_short():
+    """Each section of the page has these three paragraphs, in 6 to 12 lines that are not empty."""
     text = text_of(_ROOT / "docs" / "decisions.md")
     for decision in text.split("\n## ")[1:]:
         parts = re.findall(r"^\*(\w+)\.\*", decision, re.MULTILINE)

@@ -39,6 +39,8 @@ def test_rest_is_reported_once_and_after_the_last_power(engine: str, move: str) 
 
 @pytest.mark.parametrize("engine", WHOLE)
 def test_rest_is_not_reported_after_a_stop(engine: str) -> None:
+    """The engine reports the end of motion (made.rests counts that) only if motion ends by
+    itself."""
     made = make(engine, "fast")
     made.engine.start()
     made.run(100)  # ms: in the middle of the motion
@@ -49,6 +51,7 @@ def test_rest_is_not_reported_after_a_stop(engine: str) -> None:
 
 @pytest.mark.parametrize("engine", WHOLE)
 def test_a_stopped_engine_stays_stopped_until_it_is_armed(engine: str) -> None:
+    """start() is without effect after stop(), until arm() allows motion again."""
     made = make(engine, "fast")
     made.engine.stop()
     for _ in range(3):
@@ -193,6 +196,7 @@ def test_a_failure_during_fault_handling_does_not_prevent_the_stop(
 def test_motion_begins_at_once_even_right_before_the_clock_wraps(
     engine: str, before_us: int
 ) -> None:
+    """The clock of ticks_us() is set before_us before its wrap; steps must come within 150 ms."""
     clock.us += -(clock.us + before_us) & 0x3FFFFFFF  # ticks_us() wraps to 0 at 2**30
     made = make(engine, "diagonal")
     made.engine.start()
@@ -221,6 +225,8 @@ def test_motion_that_does_not_continue_is_a_fault(engine: str) -> None:
 def test_interrupts_delayed_by_a_collection_come_late_and_lose_nothing(
     engine: str, away_ms: int
 ) -> None:
+    """The garbage collector stops Python for away_ms, four times: motion pauses, no step is
+    lost."""
     made = make(engine, "diagonal")
     made.engine.start()
     for _ in range(4):
@@ -260,6 +266,7 @@ def test_rmt_never_plays_more_than_a_channel_holds(engine: str) -> None:
 
 @pytest.mark.parametrize("engine", ["rmt", "rmt_s3"])
 def test_rmt_disconnects_the_pins_while_the_channels_continue(engine: str) -> None:
+    """A train of pulses cannot be cut off in the channel, so stop() routes the pins elsewhere."""
     made = make(engine, "fast")
     made.engine.start()
     made.run(100)
@@ -274,6 +281,7 @@ def test_rmt_disconnects_the_pins_while_the_channels_continue(engine: str) -> No
 
 @pytest.mark.parametrize("engine", ["rmt", "rmt_s3"])
 def test_rmt_waits_for_the_end_of_disconnected_trains(engine: str) -> None:
+    """New motion right after a stop must not begin with what a channel still plays."""
     made = make(engine, "fast")
     made.engine.start()
     made.run(100)

@@ -277,6 +277,9 @@ def test_steps_are_those_planned_in_order(engine: str, move: str) -> None:
 @pytest.mark.parametrize("move", MOVES)
 @pytest.mark.parametrize("engine", ENGINES)
 def test_steps_come_within_the_stated_tolerance(engine: str, move: str) -> None:
+    """late_us: of each step against the plan. It may change from step to step within STATED; and
+    all axes must be late together.
+    """
     made = make(engine, move).go()
     stated = STATED[engine]
     tracks = []
@@ -352,6 +355,7 @@ def test_drivers_get_the_times_they_need(engine: str, move: str) -> None:
 
 @pytest.mark.parametrize("engine", WHOLE)
 def test_position_matches_the_steps_at_any_time(engine: str) -> None:
+    """Compare the engine's count with the steps at the pins each 3.7 ms, and at the end."""
     made = make(engine, "reversals")
     made.engine.start()
     while not made.engine.idle():
@@ -365,6 +369,7 @@ def test_position_matches_the_steps_at_any_time(engine: str) -> None:
 @pytest.mark.parametrize("after_ms", [15, 90, 160, 233])
 @pytest.mark.parametrize("engine", WHOLE)
 def test_a_stop_is_immediate_and_leaves_a_position(engine: str, after_ms: float) -> None:
+    """No step comes more than 30 us after the stop, and the count is right to one step."""
     made = make(engine, "fast")
     made.engine.start()
     made.run(after_ms)
@@ -379,6 +384,7 @@ def test_a_stop_is_immediate_and_leaves_a_position(engine: str, after_ms: float)
 
 @pytest.mark.parametrize("engine", WHOLE)
 def test_motion_continues_after_a_stop(engine: str) -> None:
+    """A line planned after a stop, from a position set to 0, makes its own steps only."""
     made = make(engine, "fast")
     made.engine.start()
     made.run(100)  # ms
@@ -454,6 +460,7 @@ def test_a_motor_locked_at_rest_stays_and_keeps_its_position(engine: str) -> Non
 
 @pytest.mark.parametrize("engine", WHOLE)
 def test_a_hold_comes_to_rest_within_the_stated_time_and_loses_nothing(engine: str) -> None:
+    """Hold after 250 ms, and resume: the end is the planned one, in steps."""
     made = make(engine, "diagonal")
     made.engine.start()
     made.run(250)  # ms
@@ -504,6 +511,8 @@ def test_power_after_motion_is_the_last_segments(engine: str) -> None:
         def with_power(
             row: "array[int]", next_segment: Any = next_segment, powers: Any = powers
         ) -> int:
+            """Get the next segment, give it a power, and note this if there was a segment (1, not
+            0)."""
             has_row: int = next_segment(row)
             row[ROW_POWER] = 9000 - 7 * len(powers)
             powers.extend([row[ROW_POWER]] * has_row)
@@ -520,6 +529,7 @@ def test_power_after_motion_is_the_last_segments(engine: str) -> None:
 @pytest.mark.parametrize("after_ms", [1, 5, 20, 33, 41, 120])
 @pytest.mark.parametrize("engine", WHOLE)
 def test_no_power_is_reported_after_a_stop(engine: str, after_ms: float) -> None:
+    """Each segment has another power; after stop(), neither power nor position changes."""
     made = make(engine, "fast")
     powers = iter(range(1, 10_000))
     next_segment = made.bench.segments.next
@@ -617,6 +627,7 @@ def test_i2s_keeps_the_setup_time_after_it_has_run_empty(late_us: int) -> None:
 
 
 def test_i2s_loses_nothing_after_an_underrun() -> None:
+    """An underrun: the CPU is away for so long that the stream has nothing left to play."""
     made = make("i2s", "diagonal")
     made.engine.start()
     made.run(200)  # ms

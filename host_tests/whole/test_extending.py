@@ -62,7 +62,7 @@ def apply(text, diff):
         offsets = [
             match.start() for match in re.finditer(f"^{re.escape(old)}", text, re.MULTILINE)
         ]
-        assert len(offsets) == 1, f"{len(offsets)} offsets for:\n{old}"
+        assert len(offsets) == 1, f"{len(offsets)} places for:\n{old}"
         text = text[: offsets[0]] + new + text[offsets[0] + len(old) :]
     return text
 
@@ -143,7 +143,10 @@ def test_a_change_must_fit_in_one_place():
 
 @in_section("A drilling cycle")
 def test_a_drilling_cycle(tree):
-    # The page's table has the numbers of files that one writes, and that `make docs` renews.
+    """The new board is built with the cycle, and a program with G81 drills where it should.
+
+    The page's table says how many files one writes, and how many `make docs` renews.
+    """
     assert (len(tree.written), 0) == files_the_page_counts("a drilling cycle")
     output = tree.python("-m", "pytest", "-q", "-p", "no:cacheprovider", "test_drill.py")
     assert re.search(r"^(=+ )?2 passed", output, re.MULTILINE), output
@@ -164,6 +167,10 @@ def test_a_drilling_cycle(tree):
 @pytest.mark.sampled(1)
 @in_section("A setting")
 def test_a_setting(tree):
+    """The new $99 is in the reference, and has a test of its effect.
+
+    The page's table says how many files one writes, and how many `make docs` renews.
+    """
     renewed_pages = tree.make_docs()
     assert "`$99`" in (tree.folder / "docs" / "reference.md").read_text()
     assert (len(tree.written), len(renewed_pages)) == files_the_page_counts("a setting")
@@ -189,6 +196,10 @@ def test_a_setting_has_its_unit_in_grbl_09(tree):
 
 @in_section("A board")
 def test_a_board(tree):
+    """The new board is in the documents, can be built, and runs a program.
+
+    The page's table says how many files one writes, and how many `make docs` renews.
+    """
     renewed_pages = tree.make_docs()
     assert "`pen_plotter.py`" in (tree.folder / "docs" / "boards.md").read_text()
     assert (len(tree.written), len(renewed_pages)) == files_the_page_counts("a board")
@@ -235,6 +246,10 @@ print(link.read_into(buf))
 
 @in_section("A link")
 def test_a_link(tree):
+    """A board with LINK = "serial" gets the new link's module instead of USB's, and it works.
+
+    The page's table says how many files one writes, and how many `make docs` renews.
+    """
     renewed_pages = tree.make_docs()
     assert (len(tree.written), len(renewed_pages)) == files_the_page_counts("a link")
     pico = (tree.folder / "boards" / "rpi_pico.py").read_text()
@@ -320,6 +335,7 @@ with Machine("uneven_mill.py") as machine:
 
 @in_section("A transform")
 def test_a_transform_follows_the_grid(tree):
+    """_UNEVEN moves the machine and prints X, Y and Z of the motors, in mm, after each line."""
     assert (len(tree.written), 0) == files_the_page_counts("a transform")
     # Heights in mm at points of a grid, a row of X per line of Y.
     (tree.folder / "heights.csv").write_text("0,1,2\n0,2,4\n0,0,0\n")

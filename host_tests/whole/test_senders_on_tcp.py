@@ -28,6 +28,7 @@ class Wire:
     """A TCP connection to its own simulator, with all lines received and their times."""
 
     def __init__(self, folder: Path, settings: str) -> None:
+        """Start `ugrbl sim` and connect. settings: stored ones, lines like "$22=1"."""
         file = folder / "machine.settings"
         file.write_text(settings)
         command = [sys.executable, "-m", "ugrbl.cli", "sim", "--speed", "max", "--tcp", "0"]
@@ -38,13 +39,14 @@ class Wire:
             text=True,
         )
         assert self.process.stdout
-        place = self.process.stdout.readline().rpartition(":")[2]
+        # --tcp 0 takes a free port; the first line of output ends with it.
+        port = self.process.stdout.readline().rpartition(":")[2]
         time.sleep(0.2)
-        self._socket = socket.create_connection(("127.0.0.1", int(place)))
+        self._socket = socket.create_connection(("127.0.0.1", int(port)))
         self.begun = time.monotonic()
         self.lines: list[str] = []
-        self.times: list[float] = []
-        self._rest = ""
+        self.times: list[float] = []  # of each line, in s after connecting
+        self._rest = ""  # of the text received: an unfinished line
 
     def send(self, data: bytes) -> None:
         self._socket.sendall(data)
@@ -53,10 +55,10 @@ class Wire:
         """Read for this time, or until it is done; return whether it is."""
         until = time.monotonic() + seconds
         while not done():
-            left = until - time.monotonic()
-            if left <= 0:
+            seconds_left = until - time.monotonic()
+            if seconds_left <= 0:
                 return False
-            self._socket.settimeout(left)
+            self._socket.settimeout(seconds_left)
             try:
                 self._rest += self._socket.recv(4096).decode("latin-1")
             except TimeoutError:
@@ -67,7 +69,7 @@ class Wire:
         return True
 
     def ask(self, line: bytes, seconds: float) -> list[str]:
-        """Send a line; return what comes up to its answer, within this time."""
+        """Send a line; return the lines up to its answer (ok or error:9), within this time."""
         before = len(self.lines)
         self.send(line)
         assert self.listen(seconds, lambda: self.lines[before:][-1:] in (["ok"], ["error:9"]))
@@ -102,8 +104,7 @@ def test_ugs_initialises_once_and_gets_all_its_answers(wire: Wire, state: str) -
     """UGS initialises after a welcome, unless it has already done so by itself soon after opening.
 
     Then it is silent for 2 s, asks for the state at most ten times, is silent for 2 s, and waits
-    at
-    most 2 s for each answer.
+    at most 2 s for each answer. wire: a connection to a machine with these settings.
     """
     wire.listen(2.0)
     asked = 0
@@ -121,7 +122,7 @@ def test_ugs_initialises_once_and_gets_all_its_answers(wire: Wire, state: str) -
     settings = wire.ask(b"$$\n", 2.0)[:-1]
     assert len(settings) == 34 and all(re.match(r"\$\d+=[\d.]+$", line) for line in settings)
     assert wire.ask(b"$G\n", 2.0)[0].startswith("[GC:G0 G54 ")
-    (welcomed,) = wire.banners()
+    (welcomed,) = wire.banners()  # the time of the only welcome
     assert 0.2 < welcomed < 2.0, "after UGS has opened the port, and before it asks"
     assert not [line for line in wire.lines if line.startswith("error")]
 
@@ -130,21 +131,21 @@ def test_candle_begins_with_its_reset_and_streams(wire: Wire) -> None:
     """Candle asks for reports at once, each after the answer to the last.
 
     A second after connecting it resets, and ignores everything except the welcome until then. It
-    joins
-    the lines of a reply into one text, which ends at "ok" or "error". Observed with version 11.6.
+    joins the lines of a reply into one text, which ends at "ok" or "error". Observed with version
+    11.6.
     """
-    for count in range(10):
+    for count in range(10):  # one second, with a report each 0.1 s
         wire.send(b"?")
         wire.listen(0.1)
         assert sum(line.startswith("<Idle|MPos:") for line in wire.lines) == count + 1
-    wire.send(b"$G\n?")
-    wire.forget()
+    wire.send(b"$G\n?")  # not answered any more, or ignored: the reset follows at once
+    wire.forget()  # the lines received so far
     wire.send(b"\x18")
     assert wire.listen(3.0, lambda: bool(wire.banners()))
     wire.forget()  # also output from before the reset
     wire.send(b"$$\n$#\n")  # in one piece
     assert wire.listen(2.0, lambda: wire.lines.count("ok") == 2)
-    settings, offsets, _ = "; ".join(wire.lines).split("ok")
+    settings, offsets, _ = "; ".join(wire.lines).split("ok")  # as Candle reads the two answers
     assert len(re.findall(r"\$(\d+)\=([^;]+)\; ", settings)) == 34 and "G54:" in offsets
     wire.forget()
     wire.send(b"S100\n$G\n")
@@ -158,9 +159,9 @@ def test_candle_begins_with_its_reset_and_streams(wire: Wire) -> None:
 
 
 def _stream(wire: Wire, lines: list[bytes]) -> None:
-    """Send lines with at most 127 bytes unanswered, and ask for reports in between."""
-    under_way: deque[int] = deque()
-    sent = answered = looked = 0
+    """Send lines with at most 127 bytes unanswered, and ask for a report each 40 ms."""
+    under_way: deque[int] = deque()  # lengths of the lines that are not answered yet
+    sent = answered = looked = 0  # numbers of lines; looked: of received ones
     asked = time.monotonic()
     wire.forget()
     while answered < len(lines):

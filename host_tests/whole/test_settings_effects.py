@@ -2,6 +2,12 @@
 
 A row of _EFFECTS gives the observation on the simulated machine, the result for the default, and
 the result for another value. A row of the settings table without one is a failure.
+
+An observation is a generator that sends lines as a sender and returns what it has measured; it
+leaves the machine where it was. `yield from bench.say(text, wait)` sends, waits ("ok", "banner",
+"ms 20"; by default until motion ends), and returns the lines received; bench.move(*lines) sends
+lines and waits for the end of motion; bench.place() are the motors' steps. bench.rows: segments as
+(start tick, row); ROW_TICKS, ROW_AXES: indices in a row, see motion/layout.py.
 """
 
 import math
@@ -26,8 +32,8 @@ from ugrbl.sim.sender import Sender
 pytestmark = pytest.mark.usefixtures("each_ms")
 
 _AXES = "XYZ"
-_PER_MM = 250
-_TICKS_PER_MS = 13_107.2
+_PER_MM = 250  # steps
+_TICKS_PER_MS = 13_107.2  # of the simulated engine
 _ENDS_STEPS = 500  # limit switches, from the position at power-up
 # The board's defaults: Grbl's, except for shorter waits.
 _BRISK = {120: 500, 121: 500, 122: 500, 130: 10, 131: 10, 132: 10}
@@ -46,20 +52,21 @@ class Bench:
         board: str = "sim",
         store: "MemoryStore | None" = None,
     ) -> None:
+        """Make the machine. defaults: settings that differ from _BRISK, the board's defaults."""
         module = {**vars(load_board(board)), "DEFAULTS": {**_BRISK, **defaults}}
         self.rig = Rig(SimpleNamespace(**module), store)
         self.port: Any = self.rig.port
         self.sender = Sender(self.rig)
-        self.sender.allow(3_600_000)
-        self.handed: tuple[int, ...] = ()
-        self.rows: list[tuple[int, array[int]]] = []
-        self.levels: tuple[int, ...] = ()
+        self.sender.allow(3_600_000)  # ms
+        self.handed: tuple[int, ...] = ()  # arguments of the engine's configure()
+        self.rows: list[tuple[int, array[int]]] = []  # segments executed
+        self.levels: tuple[int, ...] = ()  # of a punch's outputs
         self._drive = self.port.drive
         self.port.drive = self._note_levels
         self._configure = self.rig.engine.configure
         self.rig.engine.configure = self._hand  # type: ignore[method-assign]
         self.rig.engine.trace = lambda start, row: self.rows.append((start, row[:]))
-        for axis, letter in enumerate("xyz"):
+        for axis, letter in enumerate("xyz"):  # a limit switch at each end of each axis
             for above in (True, False):
                 place = _ENDS_STEPS if above else -_ENDS_STEPS
                 self.rig.engine.switches.append(Switch(f"limit_{letter}", axis, above, place))
@@ -77,6 +84,7 @@ class Bench:
         failed: list[BaseException] = []
 
         def guarded() -> Iterator[Any]:
+            """Keep an exception until the machine has stopped: it must not end the rig's loop."""
             try:
                 yield from self.say("", "banner")
                 yield from script
@@ -93,12 +101,13 @@ class Bench:
         return self.sender.take()
 
     def change(self, what: str) -> "Iterator[Any]":
-        """Do what may change settings: a line, "\\x18", or "power"."""
+        """Do what may change settings: send a line or "\\x18", or switch off and on ("power")."""
         if what == "power":
             self.handed = self.levels = ()
             self.rig.cycle_power()
             yield from self.say("", "banner")
         elif what.startswith("$RST") or what == "\x18":
+            # Both reset the machine; a real-time byte has no line end.
             yield from self.say(what.rstrip() + "\n" * (what != "\x18"), "banner")
         else:
             assert (yield from self.say(what + "\n")) == ["ok"]
@@ -124,34 +133,40 @@ class Bench:
         return list(self.rig.scratch)
 
     def move(self, *lines: str) -> "Iterator[Any]":
-        """Make these moves and come to rest; self.rows then has their segments."""
+        """Execute these lines, wait for the end of motion, and return the last line's answer.
+
+        self.rows then has the segments.
+        """
         self.rows.clear()
         for line in lines[:-1]:
             assert (yield from self.say(line + "\n", "ok")) == ["ok"]
         return (yield from self.say(lines[-1] + "\n"))
 
     def speed_mm_min(self, rows: "Sequence[tuple[int, array[int]]]", axis: int) -> int:
-        """Return the speed that an axis has for most of the time, to 5 mm/min."""
+        """Return the speed that an axis has for most of the time, to 5 mm/min.
+
+        It is the median of the segments' speeds, weighted with their durations.
+        """
         base = ROW_AXES + ROW_STRIDE * axis
         rates = sorted(
             (row[base] / row[ROW_TICKS], row[ROW_TICKS]) for _, row in rows if row[ROW_TICKS]
         )
-        half = sum(ticks for _, ticks in rates) / 2
+        half_ticks = sum(ticks for _, ticks in rates) / 2
         passed = accumulate(ticks for _, ticks in rates)
         per_tick = next(
-            rate for (rate, _), ticks in zip(rates, passed, strict=True) if ticks >= half
+            rate for (rate, _), ticks in zip(rates, passed, strict=True) if ticks >= half_ticks
         )
         return 5 * round(per_tick * _TICKS_PER_MS * 60_000 / _PER_MM / 5)
 
     def legs(self) -> "list[list[tuple[int, array[int]]]]":
-        """Return the segments, split where the machine stood still."""
+        """Return the segments, split into lists where the machine stood still."""
         legs: list[list[tuple[int, array[int]]]] = []
-        end = -1
+        end_tick = -1
         for start, row in self.rows:
-            if start != end:
+            if start != end_tick:
                 legs.append([])
             legs[-1].append((start, row))
-            end = start + row[ROW_TICKS]
+            end_tick = start + row[ROW_TICKS]
         return legs
 
 
@@ -159,7 +174,10 @@ class Bench:
 
 
 def _handed(which: int) -> Look:
-    """Return a value given to the engine: its own tests show the effect at the pins."""
+    """Return an observation: an argument of the engine's configure(), by its index.
+
+    The effect at the pins is shown by the engine's own tests.
+    """
 
     def look(bench: Bench) -> Iterator[Any]:
         yield bench.rig.now
@@ -169,7 +187,7 @@ def _handed(which: int) -> Look:
 
 
 def _ways(bench: Bench) -> Iterator[Any]:
-    """Return the motors' directions."""
+    """Return the steps of a move of +0.1 mm in all axes: 25, or -25 where inverted."""
     before = bench.place()
     yield from bench.move("G91G0X0.1Y0.1Z0.1")
     moved = [now - then for now, then in zip(bench.place(), before, strict=True)]
@@ -180,16 +198,17 @@ def _ways(bench: Bench) -> Iterator[Any]:
 def _released_ms(bench: Bench) -> Iterator[Any]:
     """Return how long motors stay enabled after a motion, to 5 ms."""
     yield from bench.say("G91G0Z0.1\n", "ok")
-    yield bench.rig.moving
+    yield bench.rig.moving  # wait until this is true
     yield lambda: not bench.rig.moving()
-    since = bench.rig.now
+    stopped = bench.rig.now
     yield lambda: bench.port.enable_pin == 1
     released = bench.rig.now
     yield from bench.say("G91G0Z-0.1\n")
-    return 5 * round((released - since) / _TICKS_PER_MS / 5)
+    return 5 * round((released - stopped) / _TICKS_PER_MS / 5)
 
 
 def _level_in_motion(bench: Bench) -> Iterator[Any]:
+    """Return the level of the enable pin while the motors move."""
     yield from bench.say("G91G0Z0.1\n", "ok")
     yield bench.rig.moving
     level = bench.port.enable_pin
@@ -202,7 +221,7 @@ def _pins(bench: Bench) -> Iterator[Any]:
 
 
 def _probing(bench: Bench) -> Iterator[Any]:
-    """Probe without contact; return the alarm and the steps made."""
+    """Probe 0.2 mm without contact; return (alarm or "", steps made): inverted, it is closed."""
     before = bench.place()[2]
     lines = yield from bench.say("G91G38.3Z0.2F300\n")
     alarm = lines[0] if lines[0].startswith("ALARM") else ""
@@ -230,15 +249,15 @@ def _decimals(bench: Bench) -> Iterator[Any]:
 
 
 def _corners_ms(bench: Bench) -> Iterator[Any]:
-    """Return the duration of a staircase, to 100 ms."""
-    stairs = ["G91G1X0.2F500", "Y0.2", "X-0.2", "Y-0.2"] * 3
-    yield from bench.move(*stairs)
+    """Return the duration of twelve moves with right angles in between, to 100 ms."""
+    corners = ["G91G1X0.2F500", "Y0.2", "X-0.2", "Y-0.2"] * 3
+    yield from bench.move(*corners)
     (start, _), (last, row) = bench.rows[0], bench.rows[-1]
     return 100 * round((last + row[ROW_TICKS] - start) / _TICKS_PER_MS / 100)
 
 
 def _roundness_mm(bench: Bench) -> Iterator[Any]:
-    """Return how near to its centre a circle of 1 mm comes."""
+    """Return how near its centre, in mm, the chords of a circle of 1 mm radius come."""
     yield from bench.move("G91G2X0Y0I1F500")
     x = y = 0.0
     nearest = 1.0
@@ -255,7 +274,10 @@ def _made(row: "array[int]", axis: int) -> int:
 
 
 def _soft_limit(bench: Bench) -> Iterator[Any]:
-    """Return the answer to a short line out of the machine's travel, after others of its kind."""
+    """Return the answer to a move-only line that leaves the machine's travel, X0.5.
+
+    Other move-only lines, within it, go before: those of the last observation, and those here.
+    """
     lines = yield from bench.say("X0.5\n", "ms 300")
     if lines[0].startswith("ALARM"):
         yield from bench.recover()
@@ -264,6 +286,7 @@ def _soft_limit(bench: Bench) -> Iterator[Any]:
 
 
 def _hard_limit(bench: Bench) -> Iterator[Any]:
+    """Return the alarm when a limit switch closes while idle; "" if there is none."""
     bench.port.push({"limit_x": True})
     lines = yield from bench.say("", "ms 20")
     bench.port.push({"limit_x": False})
@@ -282,7 +305,10 @@ def _homed_at(bench: Bench) -> Iterator[Any]:
 
 
 def _homing(leg: int) -> Look:
-    """Return a homing leg's speed. leg: counted from the last one: off, to, off, to …"""
+    """Return an observation: the speed of a leg of homing, in mm/min.
+
+    leg: counted from the last one, 1: off the switch, 2: to it, 3: off, 4: to it …
+    """
 
     def look(bench: Bench) -> Iterator[Any]:
         yield from bench.move("$H")
@@ -300,7 +326,7 @@ def _homing_rest_ms(bench: Bench) -> Iterator[Any]:
 
 
 def _power_of(line: str) -> Look:
-    """Return the spindle's power at rest after a line."""
+    """Return an observation: the spindle's power (0 to 255) at rest after a line."""
 
     def look(bench: Bench) -> Iterator[Any]:
         yield from bench.say(line + "\n")
@@ -312,6 +338,8 @@ def _power_of(line: str) -> Look:
 
 
 def _steps_per_mm(axis: int) -> Look:
+    """Return an observation: the steps that an axis makes for 1 mm."""
+
     def look(bench: Bench) -> Iterator[Any]:
         before = bench.place()[axis]
         yield from bench.move(f"G91G0{_AXES[axis]}1")
@@ -323,6 +351,8 @@ def _steps_per_mm(axis: int) -> Look:
 
 
 def _rapid_mm_min(axis: int) -> Look:
+    """Return an observation: the speed of a rapid of 1 mm."""
+
     def look(bench: Bench) -> Iterator[Any]:
         yield from bench.move(f"G91G0{_AXES[axis]}1")
         speed = bench.speed_mm_min(bench.rows, axis)
@@ -333,7 +363,7 @@ def _rapid_mm_min(axis: int) -> Look:
 
 
 def _rapid_ms(axis: int) -> Look:
-    """Return the duration of a short move, to 10 ms."""
+    """Return an observation: the duration of a rapid of 0.5 mm, to 10 ms."""
 
     def look(bench: Bench) -> Iterator[Any]:
         yield from bench.move(f"G91G0{_AXES[axis]}0.5")
@@ -345,9 +375,10 @@ def _rapid_ms(axis: int) -> Look:
 
 
 def _reaches(axis: int) -> Look:
-    """Return the answer to a jog of 1.5 mm into the travel."""
+    """Return an observation: the answer to a jog of 1.5 mm away from the axis' end."""
 
     def look(bench: Bench) -> Iterator[Any]:
+        """Jog away from the end, and back if that was accepted."""
         (answer,) = yield from bench.say(f"$J=G91{_AXES[axis]}-1.5F500\n")
         if answer == "ok":
             yield from bench.say(f"$J=G91{_AXES[axis]}1.5F500\n")
@@ -416,6 +447,8 @@ _LASER_EFFECTS: "list[Row]" = [(33, 20000, {}, _pwm_hz, 5000, 20000)]
 
 
 def test_every_setting_has_an_observation() -> None:
+    """Rows of the firmware's tables: (number, default, kind, …). AXIS is a setting of each
+    axis."""
     table = [
         number + axis
         for number, _, kind, *_ in _TABLE
@@ -428,13 +461,17 @@ def test_every_setting_has_an_observation() -> None:
 
 
 def _tell(bench: Bench, row: "Row") -> None:
-    """Check a setting's effect after each kind of change."""
-    number, value, _, look, by_default, by_value = row
+    """Check a setting's effect after each kind of change.
+
+    row: number, other value, changed defaults, observation, its result for the default, and for
+    the other value.
+    """
+    number, value, _, observe, by_default, by_value = row
     change = f"${number}={value}"
-    story = [
+    changes = [
         ("power", by_default),
         (change, by_value),
-        ("\x18", by_value),
+        ("\x18", by_value),  # a reset
         ("power", by_value),
         ("$RST=$", by_default),
         ("power", by_default),
@@ -444,10 +481,10 @@ def _tell(bench: Bench, row: "Row") -> None:
     ]
 
     def script() -> Iterator[Any]:
-        for what, wanted in story:
-            yield from bench.change(what)
+        for action, expected in changes:
+            yield from bench.change(action)
             yield from bench.unlock()
-            assert (yield from look(bench)) == wanted, f"after {what!r}"
+            assert (yield from observe(bench)) == expected, f"after {action!r}"
 
     bench.run(script())
 
@@ -488,28 +525,34 @@ class FullStore(MemoryStore):
 
 
 def test_an_unsaved_setting_has_its_effect_until_power_off() -> None:
+    """The flash is full: $100 (steps/mm, 250) changes with an error, until the power is off."""
     store = FullStore()
     bench = Bench({}, store=store)
-    look = _steps_per_mm(0)
+    steps_per_mm = _steps_per_mm(0)
 
     def script() -> Iterator[Any]:
-        store.full = True
-        not_kept = ["[MSG:Flash is full or worn: not saved]", "error:7"]
-        assert (yield from bench.say("$100=125\n")) == not_kept
-        assert (yield from look(bench)) == 125
-        said = yield from bench.say("$RST=$\n", "banner")
-        assert said[:3] == ["[MSG:Restoring defaults]", *not_kept]
-        assert (yield from look(bench)) == 250
+        """Change $100 and restore it while flash is full; its effect follows, and ends with the
+        power."""
+        store.full = True  # writing to flash fails from now on
+        not_saved = ["[MSG:Flash is full or worn: not saved]", "error:7"]
+        assert (yield from bench.say("$100=125\n")) == not_saved
+        assert (yield from steps_per_mm(bench)) == 125
+        lines = yield from bench.say("$RST=$\n", "banner")
+        assert lines[:3] == ["[MSG:Restoring defaults]", *not_saved]
+        assert (yield from steps_per_mm(bench)) == 250
         yield from bench.say("$100=125\n")
         yield from bench.change("power")
-        assert (yield from look(bench)) == 250
+        assert (yield from steps_per_mm(bench)) == 250
 
     bench.run(script())
 
 
 @pytest.mark.parametrize("change", ["$100=80", "$110=100", "$110=50000", "$120=20", "$11=1"])
 def test_planned_motion_is_not_changed_by_settings(change: str) -> None:
+    """A setting sent right after two moves leaves the segments of these as they were planned."""
+
     def segments(text: str) -> "list[array[int]]":
+        """Return the segments of these lines, from X0 Y0 to X3 Y1 (750 and 250 steps)."""
         bench = Bench({})
 
         def script() -> Iterator[Any]:
@@ -525,6 +568,7 @@ def test_planned_motion_is_not_changed_by_settings(change: str) -> None:
 
 @pytest.mark.parametrize("change", ["$30=1000", "$31=0"])
 def test_a_new_speed_range_stops_the_spindle(change: str) -> None:
+    """$30 and $31 are the highest and lowest speed."""
     bench = Bench({})
 
     def script() -> Iterator[Any]:
@@ -538,9 +582,11 @@ def test_a_new_speed_range_stops_the_spindle(change: str) -> None:
 
 @pytest.mark.parametrize(("change", "asks"), [("$13=1", True), ("$10=3", False)])
 def test_only_inches_cause_a_report_of_the_work_offset(change: str, asks: bool) -> None:
+    """WCO is in the first report; later, $13 (inches) brings it at once, and $10 does not."""
     bench = Bench({})
 
     def script() -> Iterator[Any]:
+        """Ask for reports until WCO is not due, change the setting, and look for WCO again."""
         for _ in range(2):
             yield from bench.report()
         assert "WCO" not in (yield from bench.report())
@@ -551,9 +597,11 @@ def test_only_inches_cause_a_report_of_the_work_offset(change: str, asks: bool) 
 
 
 def test_move_only_lines_do_nothing_in_check_mode() -> None:
+    """After three moves of 0.1 mm (75 steps), $C switches check mode on."""
     bench = Bench({})
 
     def script() -> Iterator[Any]:
+        """Move three times, and twice in check mode; compare the motor's steps."""
         yield from bench.move("G91G1X0.1F500", "X0.1", "X0.1")
         assert bench.place()[0] == 75
         yield from bench.say("$C\n")
@@ -564,12 +612,14 @@ def test_move_only_lines_do_nothing_in_check_mode() -> None:
 
 
 def test_permanently_enabled_motors_are_enabled_after_reset_and_power_up() -> None:
+    """$1=255: motors are enabled from the next reset on. enable_pin is 0 while they are."""
     bench = Bench({})
 
     def script() -> Iterator[Any]:
+        """Set $1=255, reset, switch off and on; read the enable pin (0: enabled)."""
         yield bench.rig.ms(100)
         yield from bench.change("$1=255")
-        assert bench.port.enable_pin == 1
+        assert bench.port.enable_pin == 1  # still disabled; 0 is enabled
         yield from bench.change("\x18")
         assert bench.port.enable_pin == 0
         yield from bench.change("power")

@@ -2,6 +2,11 @@
 
 The pins are those for which Pin.irq() was called, on every board and with every extra that has
 inputs: a new one is tested here automatically.
+
+`made` is a Machine; made.cpu a model of the CPU in virtual time: cpu.run(us) advances it;
+cpu.storm(pins, open_us, closed_us, us) sends edges to pins; cpu.calls are the times of their
+interrupts, cpu.turns the turns of the main loop (on an ESP32: of the engine), and cpu.late_us the
+longest delay of another interrupt. Pins have pull-ups: drive(1) opens, drive(0) closes.
 """
 
 from array import array
@@ -42,20 +47,22 @@ EXTRAS: "dict[str, tuple[str, dict[str, Any]]]" = {
     "shared": ("rpi_pico", {"LIMIT": (9, 9, 9), "HOMING": ("Z", "X", "Y")}),
 }
 # Duration of open and closed, in us. The last two are over before the handler reads the pin.
-STORMS = ((5, 5), (20, 20), (25, 25), (50, 50), (17, 3), (47, 3))
-STORM_US = 8_000
-PEACE_US = 2_000
-_POWER_PIN = 22
+STORMS = ((5, 5), (20, 20), (25, 25), (50, 50), (17, 3), (47, 3))  # us open, us closed
+STORM_US = 8_000  # its duration
+PEACE_US = 2_000  # how long a pin must be quiet after a storm
+_POWER_PIN = 22  # POWER_FAIL
 # In STORM_US: turns of a Pico's main loop, 52 without a storm; of an ESP32's engine, 8.
-FEWEST_TURNS = {"pio": 48, "i2s": 7, "rmt": 7}
+FEWEST_TURNS = {"pio": 48, "i2s": 7, "rmt": 7}  # in STORM_US
 # Interrupts of one pin. An ESP32's have eight places to wait in, and then all eight are called.
-MOST_A_MS = {"pio": 4, "i2s": 10, "rmt": 10}
+MOST_A_MS = {"pio": 4, "i2s": 10, "rmt": 10}  # interrupts
 
 
 class Machine:
     """A whole machine on a board's own pins."""
 
     def __init__(self, board: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+        """Make a simulated machine, and give it a real port on stand-ins of the chip's
+        hardware."""
         self.engine: str = board.ENGINE
         self.rig = Rig(board, factory_store(board))
         is_2350 = board.MPY_ARCH == "armv7emsp"
@@ -78,11 +85,12 @@ class Machine:
             self._pins = esp_bench.esp_machine.Pin.pins
         port.power_off = lambda: None
         self.port = self.rig.port = port
+        # The port's time is that of the modelled CPU.
         ticks = {"ticks_ms": self._ticks_ms, "ticks_diff": lambda a, b: a - b}
         self._time = SimpleNamespace(**ticks, sleep_us=lambda us: None)
         monkeypatch.setitem(type(port).ticks_ms.__globals__, "time", self._time)
         monkeypatch.setattr(gpio, "time", self._time)
-        self.contacts = 0
+        self.contacts = 0  # of the probe
 
     def _ticks_ms(self) -> int:
         return int(self.rig.now / self.rig.ticks_per_ms)
@@ -98,12 +106,12 @@ class Machine:
         self.rig.run(script())
 
     def pins(self) -> "list[Any]":
-        """Return all pins that interrupt, open."""
-        found = [pin for pin in self._pins.values() if pin.handler]
-        for pin in found:
+        """Open all pins that interrupt, let 100 ms pass, and return them."""
+        interrupting = [pin for pin in self._pins.values() if pin.handler]
+        for pin in interrupting:
             pin.drive(1)
         self.cpu.run(100_000)
-        return found
+        return interrupting
 
     def touch(self) -> None:
         """Count a contact of the probe."""
@@ -125,6 +133,7 @@ def changed(name: str, changes: "dict[str, Any]") -> ModuleType:
 def made(
     request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Machine:
+    """Return a machine on each board, and with each kind of inputs of extras."""
     (tmp_path / "stormy.py").write_text(CUSTOM)
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
@@ -132,64 +141,77 @@ def made(
 
 
 def most_a_ms(calls: "list[int]") -> int:
-    """Return the largest number of interrupts in any millisecond."""
+    """Return the largest number of interrupts in any millisecond. calls: their times in us."""
     return max(
-        (sum(at <= other < at + 1000 for other in calls[i:]) for i, at in enumerate(calls)),
+        (
+            sum(begin_us <= us < begin_us + 1000 for us in calls[i:])
+            for i, begin_us in enumerate(calls)
+        ),
         default=0,
     )
 
 
 def weather(made: Machine, pin: Any, shape: "tuple[int, int]") -> "dict[str, Any]":
-    """Run a storm on one pin; return its effects."""
+    """Run a storm on one pin, and 30 ms after it; return its effects. shape: open and closed
+    us."""
     cpu = made.cpu
     made.listen()
+    # A pin is armed if an edge interrupts. A probe's is not any more after its contact.
     armed, contacts = bool(pin.trigger), made.contacts
     cpu.calls.clear()
     cpu.late_us = cpu.turns = 0
     cpu.storm([pin], *shape, STORM_US)
     turns = cpu.turns
-    seen = {"armed": armed, "heard": bool(cpu.calls), "most a ms": most_a_ms(cpu.calls)}
+    effects = {"armed": armed, "heard": bool(cpu.calls), "most a ms": most_a_ms(cpu.calls)}
     cpu.run(30_000)
-    seen["armed again"] = bool(pin.trigger) or made.contacts > contacts
-    return seen | {"late us": cpu.late_us, "turns": turns}
+    effects["armed again"] = bool(pin.trigger) or made.contacts > contacts
+    return effects | {"late us": cpu.late_us, "turns": turns}
 
 
 def test_a_storm_on_any_interrupting_pin_starves_nothing(made: Machine) -> None:
-    found: list[Any] = []
+    """Limits of interrupts in a ms, of delays, and of turns in a storm, from models of the
+    chips."""
+    results: list[Any] = []
 
     def act() -> None:
         for pin in made.pins():
             for shape in STORMS:
-                found.append((pin.id, shape, weather(made, pin, shape)))
+                results.append((pin.id, shape, weather(made, pin, shape)))
 
     made.run(act)
-    assert found
-    for pin, shape, seen in found:
-        assert seen["armed"] and seen["heard"] and seen["armed again"], (pin, shape, seen)
-        assert seen["most a ms"] <= MOST_A_MS[made.engine], (pin, shape, seen)
-        assert seen["late us"] <= 1_600, (pin, shape, seen)
-        assert seen["turns"] >= FEWEST_TURNS[made.engine], (pin, shape, seen)
+    assert results
+    for pin, shape, effects in results:
+        assert effects["armed"] and effects["heard"] and effects["armed again"], (
+            pin,
+            shape,
+            effects,
+        )
+        assert effects["most a ms"] <= MOST_A_MS[made.engine], (pin, shape, effects)
+        assert effects["late us"] <= 1_600, (pin, shape, effects)
+        assert effects["turns"] >= FEWEST_TURNS[made.engine], (pin, shape, effects)
 
 
 @pytest.mark.parametrize("shape", [*STORMS, (3, 4_000)])  # the last: never open when it is read
 def test_interference_on_power_fail_interrupts_once_a_turn_and_the_next_edge_again(
     shape: "tuple[int, int]", monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Each turn of the main loop polls the pin and allows the next interrupt."""
     made = Machine(changed("rpi_pico", {"POWER_FAIL": _POWER_PIN}), monkeypatch)
     pin = machine.Pin(_POWER_PIN)
-    pin.drive(0)
+    pin.drive(0)  # closed: the supply is good
     cpu, rig = made.cpu, made.rig
 
     def act() -> None:
+        """Run a storm on the supply's input, then let the supply fail: that interrupts."""
         monkeypatch.setattr(rig, "pass_time", lambda *passed: None)  # messages take none here
-        (cpu.turn,) = rig.controller.state.hooks.poll
+        (cpu.turn,) = rig.controller.state.hooks.poll  # the only function that turns call
         cpu.storm([pin], *shape, STORM_US)
         pin.drive(0)
         assert 0 < len(cpu.calls) <= cpu.turns + 1
         assert cpu.late_us <= 1_600 and cpu.turns >= FEWEST_TURNS["pio"]
-        cpu.run(30_000)
+        cpu.run(30_000)  # us
         cpu.calls.clear()
-        pin.drive(1)
+        pin.drive(1)  # the supply fails
         cpu.run(50)
         assert cpu.calls, "no interrupt after the interference"
 
@@ -197,8 +219,9 @@ def test_interference_on_power_fail_interrupts_once_a_turn_and_the_next_edge_aga
 
 
 def test_pin_interrupts_are_set_up_in_one_place_only() -> None:
-    """Others would not be tested here. The PIO's interrupt is not a pin's; the motion library has
-    one of its own, without a machine.
+    """Other modules' interrupts would not be tested here.
+
+    engine.py has the PIO's, not a pin's; the motion library has its own, without a machine.
     """
     modules = [path for path in FIRMWARE.rglob("*.py") if path.parent.name != "ugrbl_motion"]
     asks = {path.name for path in modules if ".irq(" in path.read_text()}
@@ -217,25 +240,30 @@ def pico(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Machine:
 def test_the_supervisor_stops_a_main_loop_hanging_in_a_storm(
     pico: Machine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """The supervisor's timer stops the machine when the main loop has not returned for 250 ms.
+
+    It is driven by hand here, with the laser on and a storm of 260 ms on one pin.
+    """
     monkeypatch.setattr(supervisor, "sys", SimpleNamespace(platform="rp2"))
     stopped: dict[int, tuple[int, int, int]] = {}
 
     def hang(pin: Any) -> "tuple[int, int, int]":
-        """Return how long the loop was away when stopped; the laser's output before and after."""
+        """Return how long the loop was away when stopped, in ms; the laser's output before and
+        after."""
         link: Any = SimpleNamespace(shared=array("i", [0, 0, 0]), poll_reset=None)
         watch = supervisor.Supervisor(link, pico.rig.engine, pico.port, 250)
         watch.start(None, lambda alarm: None)
         pico.listen()
         pico.port.revive()
         pico.port.spindle(True, 500)
-        machine.PWM.outputs[16].wrap()
-        before = machine.Pin(16).pad()
+        machine.PWM.outputs[16].wrap()  # pin 16 is the laser's: begin a new period
+        laser_before = machine.Pin(16).pad()
         pico.cpu.storm([pin], 22, 3, 260_000)
         watch.close()
-        return link.shared[supervisor.STOP_CAUSE], before, machine.Pin(16).pad()
+        return link.shared[supervisor.STOP_CAUSE], laser_before, machine.Pin(16).pad()
 
     def act() -> None:
-        for pin in {pin.handler: pin for pin in pico.pins()}.values():
+        for pin in {pin.handler: pin for pin in pico.pins()}.values():  # one of each kind
             stopped[pin.id] = hang(pin)
 
     pico.run(act)
@@ -247,6 +275,7 @@ class Noted:
     """Record the times of events of inputs."""
 
     def __init__(self, made: Machine) -> None:
+        """Make empty lists of times in us; each is named after an input in PINS."""
         self._made = made
         self.limits: list[int] = []
         self.start: list[int] = []
@@ -279,23 +308,26 @@ PINS = {"limits": (9, 10), "start": (15, 14), "part": (20, 21), "probe": (12, No
 def test_a_lasting_change_is_reported_2_ms_after_a_storm_and_at_once_on_other_pins(
     pico: Machine, name: str
 ) -> None:
+    """Delays from closing a pin to its event, begun 0 to 2.2 ms after storms on the pin itself
+    (after_storm_us), and on another pin at the same time (after_other_us)."""
     noted = Noted(pico)
-    late: list[int] = []
-    beside: list[int] = []
-    pin, other = PINS[name]
+    after_storm_us: list[int] = []
+    after_other_us: list[int] = []
+    pin, other = PINS[name]  # other: an input of another kind; None: none
 
     def closes() -> int:
-        """Return the delay between closing the pin and its event."""
-        heard = getattr(noted, name)
-        heard.clear()
-        closed = pico.cpu.us
+        """Close the pin for 5 ms; return the delay between that and its event, in us."""
+        events_us = getattr(noted, name)
+        events_us.clear()
+        closed_us = pico.cpu.us
         machine.Pin(pin).drive(0)
         pico.cpu.run(5_000)
         machine.Pin(pin).drive(1)
         pico.cpu.run(5_000)
-        return int(heard[0]) - closed
+        return int(events_us[0]) - closed_us
 
     def act() -> None:
+        """Measure after storms of 5 ms, which end 0, 0.2 … 2.2 ms before the pin closes."""
         pico.pins()
         pico.port.attach(noted)
         pico.port.watch_pins(noted.on_change)
@@ -304,28 +336,30 @@ def test_a_lasting_change_is_reported_2_ms_after_a_storm_and_at_once_on_other_pi
             pico.port.watch_probe(noted.on_contact, True)
             pico.cpu.storm([machine.Pin(pin)], 17, 3, 5_000)
             pico.cpu.run(after_us)
-            late.append(closes())
+            after_storm_us.append(closes())
             if other:
                 pico.cpu.storm([machine.Pin(other)], 17, 3, 5_000)
-                beside.append(closes())
+                after_other_us.append(closes())
 
     pico.run(act)
-    assert len(late) == 12 and max(late) <= PEACE_US + 100, late
-    assert max(beside, default=0) <= 50, beside
+    assert len(after_storm_us) == 12 and max(after_storm_us) <= PEACE_US + 100, after_storm_us
+    assert max(after_other_us, default=0) <= 50, after_other_us
 
 
 def test_a_bouncing_contact_is_reported_at_its_first_lasting_touch(pico: Machine) -> None:
-    """Three touches are over before the probe is read."""
+    """Three touches of 5 us are over before the probe is read; pin 12, the probe, then closes."""
     noted = Noted(pico)
 
     def act() -> None:
+        """Bounce three times, then close: watch_probe() reports the contact to noted."""
         pico.pins()
         pico.port.watch_probe(noted.on_contact, True)
+        # Open for 60 us and closed for 5, three times.
         pico.cpu.storm([machine.Pin(12)], 60, 5, 3 * 65)
-        noted.probe.append(pico.cpu.us)
+        noted.probe.append(pico.cpu.us)  # the time of the lasting touch, before its event's
         machine.Pin(12).drive(0)
         pico.cpu.run(100)
 
     pico.run(act)
-    closed, heard = noted.probe
-    assert heard - closed <= 50
+    closed_us, event_us = noted.probe
+    assert event_us - closed_us <= 50

@@ -68,7 +68,10 @@ MODULES = {module_name(path): path for path in FILES}
 
 
 def base(node: ast.ImportFrom, path: Path) -> "str | None":
-    """Return the module or package that something is imported from; None for foreign ones."""
+    """Return the module or package of tools/ that something is imported from, like "sim.rig".
+
+    None for foreign ones. node.level: the number of dots, as in `from ..sim import rig`.
+    """
     if not node.level:
         assert not re.match(r"(ugrbl|tools)\b", node.module or ""), "import it from . or .."
         return None
@@ -81,10 +84,11 @@ def imports(path: Path) -> set[str]:
     """Return every module of tools/ that a file imports, including imports for mypy only."""
     found = set()
     for node in ast.walk(trees()[path]):
-        if isinstance(node, ast.ImportFrom) and (start := base(node, path)) is not None:
+        if isinstance(node, ast.ImportFrom) and (source := base(node, path)) is not None:
             for alias in node.names:
-                inside = f"{start}.{alias.name}".lstrip(".")
-                found.add(inside if inside in MODULES else start)
+                # `from .folder import a` imports the module folder.a, if there is one.
+                member = f"{source}.{alias.name}".lstrip(".")
+                found.add(member if member in MODULES else source)
     return found
 
 
@@ -119,6 +123,7 @@ def test_every_module_is_in_a_package() -> None:
 
 
 def test_a_module_imports_only_from_lower_packages() -> None:
+    """Every import is a module of tools/, and may_import() allows it; refused: by module."""
     unknown = {name: used - MODULES.keys() for name, used in all_imports().items()}
     assert not any(unknown.values()), {name: used for name, used in unknown.items() if used}
     refused = {
@@ -134,6 +139,10 @@ def test_a_package_imports_only_lower_packages() -> None:
 
 
 def test_a_package_uses_all_its_allowed_imports() -> None:
+    """ROOMS: the packages that each package may import; it must import all of them.
+
+    cli is left out: it may import all. room(): the package of a module.
+    """
     used = {name: set() for name in ROOMS}
     for module, others in all_imports().items():
         if room(module) in used:
@@ -147,12 +156,15 @@ def test_imports_have_no_cycle() -> None:
 
 
 def test_a_package_documents_its_purpose_and_its_imports() -> None:
+    """Its docstring has several paragraphs; the last one names the packages in ROOMS as `name`."""
     for name, lower in ROOMS.items():
-        words = ast.get_docstring(trees()[TOOLS / name / "__init__.py"])
-        assert words and words.partition("\n\n")[2], f"{name}: purpose and imports"
+        docstring = ast.get_docstring(trees()[TOOLS / name / "__init__.py"])
+        assert docstring and docstring.partition("\n\n")[2], f"{name}: purpose and imports"
         if name != "cli":  # which imports all of them
-            last = words.rpartition("\n\n")[2]
-            assert {other for other in ROOMS if re.search(rf"`{other}`", last)} == set(lower), name
+            last_paragraph = docstring.rpartition("\n\n")[2]
+            assert {other for other in ROOMS if re.search(rf"`{other}`", last_paragraph)} == set(
+                lower
+            ), name
 
 
 def test_only_commands_use_the_screen() -> None:
@@ -161,7 +173,10 @@ def test_only_commands_use_the_screen() -> None:
 
 
 def writes(path: Path) -> bool:
-    """Return whether a module opens files for writing; code for a board's Python is text here."""
+    """Return whether a module writes files: open() with such a mode, or write_text().
+
+    Code that it sends to a board's Python is a text in it, and is not found.
+    """
     for node in ast.walk(trees()[path]):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
             modes = [one.value for one in node.args if isinstance(one, ast.Constant)]

@@ -2,6 +2,10 @@
 
 The laws: one answer per line; the reported position is the motors'; and after anything, Ctrl-X and
 $X make the machine work again. UGRBL_TORTURE sets the number of seeds (`make torture`).
+
+Every method that is an Iterator is a part of the script; `yield self._rig.ms(20)` waits 20 ms of
+the machine's time. _hear() reads and counts answers, _until(text) waits for a line that begins so,
+_go_on() resumes after a hold, and _tell(text) adds the last lines to a message of a failure.
 """
 
 import os
@@ -35,10 +39,10 @@ _SESSIONS = [
     for seed in (range(_SEEDS) if _ASKED or k == 0 else (k % 2,))
 ]
 # An ESP32's engine may finish a step that has begun when it is stopped, and be one off.
-_LOOSE = 1
-_ROUNDS = 12
-_WINDOW = 127
-_PATIENCE_MS = 120_000
+_LOOSE = 1  # step
+_ROUNDS = 12  # of talking, stopping or cutting the power
+_WINDOW = 127  # bytes without an answer
+_PATIENCE_MS = 120_000  # for all answers, and the end of motion
 _DEAF_MS = 600  # an alarm is followed by half a second in which input is ignored
 _FAST = {
     **dict.fromkeys(range(110, 116), 6000),
@@ -66,18 +70,20 @@ class Torture:
     stop."""
 
     def __init__(self, seed: int, motors: str, loose: int) -> None:
+        """Make the machine. motors: a letter each, "XYZY" has two on Y; loose: in steps."""
         self._loose = loose
         self._stopped = False  # since positions were compared
         self._random = random.Random(seed)
         self._axes = motor_names.count_axes(motors)
         self._axis_of = [motor_names.AXIS_LETTERS.index(letter) for letter in motors]
+        # Settings 110 to 125 of its axes; hard limits and laser mode, depending on the seed.
         fast = {number: of for number, of in _FAST.items() if number % 10 < self._axes}
         settings = {**fast, 21: seed % 2, 32: seed // 2 % 2, 22: 0}
         self.machine = Machine(settings, _board(motors), watched=False)
         self._words = _WORDS + (_OF_MORE_AXES if self._axes > 3 else [])
         self._rig = self.machine.rig
         self._log: deque[str] = deque(maxlen=40)
-        self._answers = 0
+        self._answers = 0  # counted by _hear()
         self._offset: "list[int] | None" = None  # of the reported position against the motors
         self._turned = 0  # $3 at that time
 
@@ -85,6 +91,7 @@ class Torture:
         self.machine.run(self._script())
 
     def _script(self) -> Iterator[Any]:
+        """Do something at random, then compare positions; 12 times."""
         yield from self.machine.start()
         for _ in range(_ROUNDS):
             act = self._random.choice((self._talk, self._talk, self._talk, self._stop, self._cut))
@@ -95,6 +102,7 @@ class Torture:
     # Random actions
 
     def _line(self) -> str:
+        """Return a random line: a $ command, one that is too long, a move, or up to five words."""
         roll = self._random.random()
         if roll < 0.15:
             return self._random.choice(_COMMANDS)
@@ -120,10 +128,13 @@ class Torture:
         assert self._answers == len(lines), self._tell("one answer per line")
 
     def _stream(self, lines: "list[str]", end: str) -> Iterator[Any]:
-        """Send lines with character counting."""
+        """Send lines with character counting, each with up to three real-time bytes inside.
+
+        A line waits until it fits into _WINDOW with those that are not answered yet.
+        """
         self._hear()
         self._answers = 0
-        lengths: "list[int]" = []
+        lengths: "list[int]" = []  # of all lines sent
         for text in lines:
             line = text + end
             for _ in range(self._random.choice((0, 0, 1, 3))):
@@ -138,27 +149,30 @@ class Torture:
             self._rig.link.send(line.encode("latin-1"))
 
     def _stop(self) -> Iterator[Any]:
-        """Stop in the middle: check that nothing moves and no output stays on."""
-        way = self._random.choice(("\x18", "reset", "limit_x", "limit_z"))
+        """Stop at any moment: check that nothing moves and no output stays on.
+
+        The cause is a reset (Ctrl-X or the button), or a limit switch if $21 (hard limits) is on.
+        """
+        cause = self._random.choice(("\x18", "reset", "limit_x", "limit_z"))
         hard = self._rig.controller.settings.hard_limits
-        if way.startswith("limit") and not hard:
-            way = "\x18"
+        if cause.startswith("limit") and not hard:
+            cause = "\x18"
         for line in (self._line() for _ in range(6)):
             self._rig.link.send(line.encode("latin-1") + b"\n")
         yield self._rig.ms(self._random.uniform(0, 400))
-        self._log.append(f"stopped by {way!r}")
-        if way == "\x18":
+        self._log.append(f"stopped by {cause!r}")
+        if cause == "\x18":
             self._rig.controller.realtime.post(0x18)
         else:
-            self._rig.port.push({way: True})
+            self._rig.port.push({cause: True})
         place = self.machine.physical()
         yield self._rig.ms(self._random.uniform(1, 50))
         port = self._rig.port
-        if self._rig.controller.state.run == st.ALARM:
+        if self._rig.controller.state.run == st.ALARM:  # motion had to be stopped
             moved = _most_apart(self.machine.physical(), place)
             assert moved <= self._loose, self._tell("it moved on")
-            on = (port.spindle_on, port.spindle_pwm, port.flood, port.mist)
-            assert not any(on), self._tell(f"outputs are on: {on}")
+            outputs = (port.spindle_on, port.spindle_pwm, port.flood, port.mist)
+            assert not any(outputs), self._tell(f"outputs are on: {outputs}")
         self._stopped = True
         port.push({"reset": False, "limit_x": False, "limit_z": False})
         yield from self._recover()
@@ -168,7 +182,7 @@ class Torture:
         yield from self._stream([self._line() for _ in range(4)], "\n")
         yield self._rig.ms(self._random.uniform(0, 200))
         self._rig.cycle_power()
-        self._offset = None
+        self._offset = None  # the position after power-up is a new one
         yield self._rig.ms(50)
         yield from self._recover()
 
@@ -194,11 +208,16 @@ class Torture:
             yield self._rig.ms(5)
 
     def _compare(self) -> Iterator[Any]:
-        """Check that the reported position is the motors', and that the machine accepts lines."""
+        """Check that the reported position is the motors', and that the machine accepts lines.
+
+        The two differ by an offset of each motor. It must be the same as in the last comparison,
+        unless the power was cut or $3 (directions) was changed.
+        """
         controller: Any = self._rig.controller
         if controller.state.run == st.ALARM:
             self._rig.link.send(b"$X\n")
             yield from self._until("ok")
+        # Modes as at first; $10=1: reports have MPos.
         self._rig.link.send(b"G21G90G94G49G54\n$10=1\n")
         yield from self._until("ok")
         yield self._rig.ms(20)
@@ -211,8 +230,11 @@ class Torture:
         made = [(axis, -steps if turned >> axis & 1 else steps) for axis, steps in motors]
         offset = [reported[axis] - steps for axis, steps in made]
         if self._offset is not None and turned == self._turned:
-            off = _most_apart(offset, self._offset)
-            assert off <= self._loose * self._stopped, self._tell("the reported position is wrong")
+            error = _most_apart(offset, self._offset)
+            # Only a stop since then may have made a difference.
+            assert error <= self._loose * self._stopped, self._tell(
+                "the reported position is wrong"
+            )
         self._offset, self._turned, self._stopped = offset, turned, False
         assert controller.state.run == st.IDLE, self._tell("it is not idle")
 
@@ -234,8 +256,9 @@ def _board(motors: str) -> ModuleType:
     """Return the simulator's board with these motors."""
     board = ModuleType("torture")
     vars(board).update(vars(load_board("sim")))
+    # Numbers of pins are enough for the simulator.
     vars(board).update(STEP=tuple(range(len(motors))), LIMIT=tuple(range(len(motors))))
-    if motor_names.count_axes(motors) < len(motors):
+    if motor_names.count_axes(motors) < len(motors):  # some axis has two
         vars(board).update(MOTORS=motors)
     return board
 
@@ -249,6 +272,7 @@ def _most_apart(one: "list[int]", other: "list[int]") -> int:
 def test_a_tortured_machine_answers_keeps_its_position_and_recovers(
     seed: int, motors: str, engine: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """seed: of the random numbers; motors: a letter for each; an engine of the ESP32, or sim."""
     if engine != "sim":
         _have_engine(engine, monkeypatch)
     Torture(seed, motors, 0 if engine == "sim" else _LOOSE).run()
@@ -256,12 +280,12 @@ def test_a_tortured_machine_answers_keeps_its_position_and_recovers(
 
 def _have_engine(name: str, patch: pytest.MonkeyPatch) -> None:
     """Make Rigs use this engine instead of the simulator's."""
-    made = pytest.importorskip("esp_bench").EspEngine  # absent where test_prepared runs this
+    EspEngine = pytest.importorskip("esp_bench").EspEngine  # absent where test_prepared runs this
 
-    class Engine:
-        tick_hz = made(name).tick_hz
+    class Engine:  # with the constructor of SimEngine
+        tick_hz = EspEngine(name).tick_hz
 
         def __new__(cls, motors: int, _depth: int) -> Any:
-            return made(name, motors)
+            return EspEngine(name, motors)
 
     patch.setattr(sim_rig, "SimEngine", Engine)
