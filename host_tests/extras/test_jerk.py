@@ -1,4 +1,11 @@
-"""Test the limit of jerk: acceleration changes over a time, and all other laws hold."""
+"""Test the limit of jerk: acceleration changes over a time, and all other laws hold.
+
+The laws are those of laws.py: limits of rate and acceleration, junction speeds, even steps,
+pulses. line() plans a target in mm at a feed in mm/min, and feed 0 is a rapid. pull(n) generates n
+segments of motion. check() executes the rest, and checks all laws.
+Machine is the whole simulated machine; its play(lines, events) also sends real-time bytes at their
+ms.
+"""
 
 from array import array
 from bisect import bisect_right
@@ -61,7 +68,7 @@ pytestmark = pytest.mark.sampled(2)
 # harder by a sixteenth (segment_kernel.brake).
 JERK_SLACK = 1.15
 # As in laws.py.
-_END_PART = 1 / 20
+_END_PART = 1 / 20  # part of a step before the end, where braking may be harder
 
 
 class JerkBench(Bench):
@@ -75,6 +82,7 @@ class JerkBench(Bench):
         tick_hz: int = TICK_HZ,
         segment_log2: int = SEGMENT_LOG2,
     ) -> None:
+        """blocks: of the planner. segment_log2: a segment has 2**segment_log2 ticks."""
         super().__init__(limits, blocks, tick_hz, segment_log2)
         self.jerk = tuple(jerk)
         hooks = self.state.hooks
@@ -113,6 +121,7 @@ class Course:
     """The machine's distance on its path in mm, by time in s."""
 
     def __init__(self, watch: Watch) -> None:
+        """watch: the record of a motion in pieces, each with its time, distance and speeds."""
         self._pieces = watch.pieces
         self._times = [0.0, *accumulate(piece.time for piece in watch.pieces)]
         self._distances_mm = [0.0, *accumulate(piece.distance for piece in watch.pieces)]
@@ -201,7 +210,7 @@ def test_corexy_keeps_every_law_of_its_motors(program) -> None:
 @pytest.mark.parametrize("chords", [24, 300])
 def test_circle_of_chords_keeps_every_law(chords: int) -> None:
     bench = JerkBench(fast, (20_000.0,) * 3)
-    circle(bench, 4.0, chords, 2400)
+    circle(bench, 4.0, chords, 2400)  # radius in mm, lines, feed
     bench.check()
 
 
@@ -215,6 +224,7 @@ def test_coarse_ticks_and_short_segments_keep_every_law(segment_log2: int) -> No
 
 @pytest.mark.parametrize("after", [1, 7, 20, 33, 40, 61, 90])
 def test_hold_at_any_moment_keeps_every_law(after: int) -> None:
+    """fast and 20,000: the limits of speed and acceleration, and of jerk in mm/s3."""
     bench = JerkBench(fast, (20_000.0,) * 3)
     zigzag(bench)
     bench.pull(after)  # this number of segments
@@ -224,6 +234,7 @@ def test_hold_at_any_moment_keeps_every_law(after: int) -> None:
 
 @pytest.mark.parametrize("after", [1, 7, 20, 33, 40])
 def test_hold_released_before_the_stop_keeps_every_law(after: int) -> None:
+    """The machine brakes for a hold, and speeds up again before it has stopped."""
     bench = JerkBench(fast, (20_000.0,) * 3)
     zigzag(bench)
     bench.pull(40)  # segments: in full motion
@@ -236,6 +247,7 @@ def test_hold_released_before_the_stop_keeps_every_law(after: int) -> None:
 @pytest.mark.parametrize("feed", [10, 200])
 @pytest.mark.parametrize("after", [1, 7, 20, 40])
 def test_override_at_any_moment_keeps_every_law(feed: int, after: int) -> None:
+    """The feed override changes in motion, and once more after as many segments."""
     bench = JerkBench(fast, (20_000.0,) * 3)
     zigzag(bench)
     bench.pull(after)  # this number of segments
@@ -261,7 +273,7 @@ def test_clearing_in_motion_leaves_nothing_in_the_filter(after: int) -> None:
     for each in (bench, fresh):
         each.planner.sync_motors(array("i", (0, 0, 0)))
         made_before = len(each.watch.made)
-        # No direction or carry of the old motion
+        # Steps of the old motion leave nothing in the row.
         each._row = array("i", [0] * layout.row_length(3))
         zigzag(each)
         each.finish()
@@ -318,6 +330,7 @@ def test_parking_moves_between_two_halves_of_a_block(segments_before: int) -> No
 @pytest.mark.parametrize("per_mm", [5.0, 26.667, 250.0, 20_000.0, 300_000.0])
 @pytest.mark.parametrize("feed", [1, 30])
 def test_slow_motion_and_any_resolution_keep_every_law(per_mm: float, feed: int) -> None:
+    """From 5 steps/mm to 300,000 steps/mm, at 1 or 30 mm/min."""
     # Steps/mm, mm/min, mm/s2, and a jerk of 2000 mm/s3.
     bench = JerkBench(Limits((per_mm,) * 3, (300.0,) * 3, (50.0,) * 3), (2000.0,) * 3)
     length_mm = max(0.02, 3 / per_mm)  # at least three steps
@@ -327,6 +340,7 @@ def test_slow_motion_and_any_resolution_keep_every_law(per_mm: float, feed: int)
 
 
 def test_line_too_long_for_the_filter_is_entered_and_left_at_rest() -> None:
+    """The line of 19,900 mm lasts too long for averaging: its entry speed and exit speed are 0."""
     bench = JerkBench(Limits((1.0,) * 3, (600_000.0,) * 3, (5000.0,) * 3), (100_000.0,) * 3)
     for x_mm in (100.0, 20_000.0, 20_200.0):
         bench.line((x_mm, 0, 0), 0)
@@ -379,6 +393,7 @@ print(seen)
 
 @needs_micropython
 def test_both_pythons_make_the_same_rows(capsys: pytest.CaptureFixture[str]) -> None:
+    """_ROWS plans 40 lines with limited jerk, and prints a checksum of all rows of steps."""
     exec(_ROWS, {})
     assert run_micropython(_ROWS, paths=[FIRMWARE]) == capsys.readouterr().out
 
@@ -397,6 +412,11 @@ def duration(limits: Limits, jerk: float, program) -> "tuple[float, JerkBench]":
 
 @pytest.mark.parametrize("jerk", [5000.0, 20_000.0, 100_000.0])
 def test_each_stop_takes_longer_by_the_filters_time_and_at_most_a_segment(jerk) -> None:
+    """Six rapids, to and fro, stop six times.
+
+    Each stop costs bench.time_s, over which speed is averaged; slot_s is a segment.
+    """
+
     def stops(bench: Bench) -> None:
         for i in range(6):  # six rapids, to and fro
             bench.line((20.0 * ((i + 1) % 2), 0, 0))
@@ -410,6 +430,8 @@ def test_each_stop_takes_longer_by_the_filters_time_and_at_most_a_segment(jerk) 
 
 
 def test_curve_of_short_lines_takes_longer_only_at_its_ends() -> None:
+    """A circle of 600 lines does not stop within: only its ends cost the time of the filter."""
+
     def curve(bench: Bench) -> None:
         circle(bench, 20.0, 600, 2400)
 
@@ -499,8 +521,8 @@ def test_acceleration_is_reduced_if_the_filter_would_be_too_long() -> None:
 
 @pytest.mark.parametrize("blocks", [3, 64])
 def test_short_and_long_rings_keep_every_law(blocks: int) -> None:
-    bench = JerkBench(fast, (20_000.0,) * 3, blocks)
-    circle(bench, 4.0, 300, 2400)
+    bench = JerkBench(fast, (20_000.0,) * 3, blocks)  # blocks of the planner
+    circle(bench, 4.0, 300, 2400)  # radius in mm, lines, feed
     bench.check()
 
 
@@ -508,7 +530,7 @@ def test_power_follows_the_speed_of_the_segments() -> None:
     """Dynamic power (M4) is proportional to speed, here to that after the filter."""
     bench = JerkBench(fast, (20_000.0,) * 3)
     bench.planner.table[layout.POWER_MAX] = 1000
-    # 2400 mm/min, which are 40 mm/s
+    # 2400 mm/min are 40 mm/s.
     bench.line((6.0, 2.0, 0.0), 2400, DYNAMIC)
     for at in range(bench.planner.flow[layout.ROW_SIZE]):
         if at == layout.POWER:
@@ -547,7 +569,7 @@ def board(**words: Any) -> ModuleType:
     return module
 
 
-LIMITED = {800: 20_000.0, 801: 20_000.0, 802: 5000.0}
+LIMITED = {800: 20_000.0, 801: 20_000.0, 802: 5000.0}  # jerk in mm/s3 of X, Y and Z
 
 
 def played(machine: Machine, lines: "list[str]", bytes_: "list[tuple[int, str]]") -> Any:
@@ -570,6 +592,7 @@ EVENTS = [(150, "!"), (500, "~"), (600, "\x91"), (900, "?"), (1200, "\x92")]
 
 
 def test_board_with_the_limit_off_moves_like_one_without_the_module() -> None:
+    """JOB has lines, an arc and a jog; EVENTS are a hold, its end, overrides and a report."""
     # Rates in mm/min and accelerations in mm/s2 of X and Y. $800 to $802 (jerk) are 0.
     settings = {110: 3000.0, 111: 3000.0, 120: 200.0, 121: 200.0}
     assert played(Machine(settings, board()), JOB, EVENTS) == played(
@@ -578,6 +601,7 @@ def test_board_with_the_limit_off_moves_like_one_without_the_module() -> None:
 
 
 def test_removed_limit_leaves_no_effect() -> None:
+    """Moves with a limit that is set back to 0 do not change the steps of the lines after it."""
     lines = [*JOB, "G1X5Y1", "G4P0"]
     plain, limited = Machine(None, board()), Machine(None, board())
     plain.play(["$800=0", *lines])
@@ -587,6 +611,7 @@ def test_removed_limit_leaves_no_effect() -> None:
 
 
 def test_long_ring_is_streamed_to_its_last_line() -> None:
+    """A planner with 64 blocks receives 200 short lines, a hold and its end."""
     lines = [f"G1X{0.05 * (1 + i % 2):.2f}Y0.05F900" for i in range(200)]
     machine = Machine(LIMITED, board(PLANNER_BLOCKS=64))
     machine.play(["G21G91", *lines], [(700, "?"), (900, "!"), (1500, "~")])  # events in ms
@@ -596,6 +621,7 @@ def test_long_ring_is_streamed_to_its_last_line() -> None:
 
 
 def test_limit_is_a_stored_setting_per_axis() -> None:
+    """$800 to $802 are the jerk of X, Y and Z in mm/s3. A negative value is refused."""
     machine = Machine(None, board())
     machine.play(["$800=9000", "$802=1500.5", "$801=-1", "$$"])
     listed = [line for line in machine.received if line.startswith("$80")]
@@ -606,6 +632,7 @@ def test_limit_is_a_stored_setting_per_axis() -> None:
 @some(4)
 @given(machines, st.lists(blocks, min_size=4, max_size=16), events(harmless))
 def test_no_step_is_lost_by_holds_and_overrides(settings_, lines, bytes_) -> None:
+    """Settings, lines and real-time bytes are random; LIMITED has the jerk of each axis."""
     machine = Machine({**settings_, **LIMITED}, board())
     machine.play(["G21G91F500", *lines], bytes_)
     check_segments(machine.watch)
@@ -618,6 +645,7 @@ def test_no_step_is_lost_by_holds_and_overrides(settings_, lines, bytes_) -> Non
     machines, st.lists(blocks, min_size=2, max_size=12), events(st.sampled_from("!~?\x18\x84\x91"))
 )
 def test_position_is_right_after_resets_and_doors(settings_, lines, bytes_) -> None:
+    """Settings, lines and real-time bytes are random. Reports agree with the motors."""
     machine = Machine({**settings_, **LIMITED}, board(SAFETY_DOOR=True))
     machine.play(["G21G91F500", *lines], bytes_)
     check_position(machine)
@@ -626,6 +654,7 @@ def test_position_is_right_after_resets_and_doors(settings_, lines, bytes_) -> N
 @some(4)
 @given(machines, st.lists(jogs, min_size=2, max_size=6), events(st.sampled_from("\x85!?~")))
 def test_position_is_right_after_jog_cancels(settings_, lines, bytes_) -> None:
+    """Settings, lines and real-time bytes are random. Reports agree with the motors."""
     machine = Machine({**settings_, **LIMITED}, board())
     machine.play(lines, bytes_)
     check_segments(machine.watch)
@@ -633,13 +662,15 @@ def test_position_is_right_after_jog_cancels(settings_, lines, bytes_) -> None:
 
 
 def test_homing_ends_at_the_same_place_as_without_the_limit() -> None:
+    """Homing, motion and homing again, without and with a limit of jerk."""
     positions = []
     for limited in ({}, LIMITED):
         settings = {22: 1, 24: 150.0, 25: 1200.0, 26: 5, 27: 0.5, 110: 3000.0, 120: 200.0}
         machine = Machine({**settings, **limited}, board())
         for axis, pin in enumerate(("limit_x", "limit_y", "limit_z")):
-            # Closes at that step
+            # Each switch closes at 500, 700 or 900 steps.
             machine.rig.engine.switches.append(Switch(pin, axis, True, 500 + 200 * axis, 0))
+        # After motion, homing must find the same positions again.
         machine.play(["$H", "G91G1X-2Y-1F800", "$H", "G1X-1F500"])
         positions.append((machine.reported(), machine.physical()))
     assert positions[0] == positions[1]

@@ -1,6 +1,9 @@
 """Test the entry into the middle of real programs: it continues like a whole run.
 
 UGRBL_ENTRIES=1000 tries this number of lines, instead of a few.
+
+$F=NAME@LINE starts a job in its middle: the lines before are only read, for their modes and
+offsets. Bench.run() returns the output, and Bench.behind(line) the recorded moves from a line on.
 """
 
 import json
@@ -44,6 +47,7 @@ class Witness(Bench):
         link: Any = machine.protocol.link
 
         def note(target: Any, move: Any, *arc_arguments: Any) -> None:
+            """Append the line in the job, and the arguments with modes and offsets, to the log."""
             number = link.line() + 1 if link.is_on else 0  # 0: not from a job
             arguments = tuple(target), move.flags, move.feed, move.spindle_rpm, arc_arguments
             modal = tuple(modes.modal[:11]), tuple(modes.rates), modes.tool, tuple(modes.position)

@@ -1,4 +1,9 @@
-"""Test entry in the middle of a job: offsets, settings, content and homing are right."""
+"""Test entry in the middle of a job: offsets, settings, content and homing are right.
+
+$F=NAME@LINE starts a job at this line, and $F=@ at the stored line of a stopped job. Bench.run()
+returns the machine's output; Bench.behind(line) has the moves from a line of the job on, and
+Bench.moves their targets in mm. FAST and HOMED are settings, and $H.
+"""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -105,7 +110,10 @@ def test_entry_before_offsets_written_by_a_job_restores_the_old_ones(tmp_path: P
 
 @pytest.mark.thorough
 def test_entry_after_a_power_cut_uses_the_offsets_written_by_the_job(tmp_path: Path) -> None:
-    """The end of run() cuts the power in the slow line. The position -5 of Z is its pull-off."""
+    """The end of run() cuts the power in the slow line, after G10.
+
+    The entry is before G10 (see the assertion). Z is at -5, its pull-off.
+    """
     first = homed(Bench(tmp_path))
     first.put("A.NC", "G90", "G1 X-8 F1200", "G1 Y-8", "G10 L2 P1 X-5", SLOW)
     first.run(say(*FAST, *HOMED, "$F=A.NC", wait_s=5))
@@ -128,6 +136,7 @@ def test_entry_keeps_an_offset_changed_by_the_user(tmp_path: Path) -> None:
 
 
 def test_entry_is_refused_if_an_offset_of_the_job_was_changed_by_the_user(tmp_path: Path) -> None:
+    """The job has set G54, and the user sets it again after the stop."""
     first = Bench(tmp_path)
     stopped(first, "G90", "G10 L2 P1 X-1", "G1 X-8 F1200", SLOW)
     restarted = homed(Bench(tmp_path, first.store))
@@ -146,6 +155,7 @@ def test_entry_is_refused_after_a_setting_whose_value_has_changed(tmp_path: Path
 def test_entry_is_refused_if_the_file_has_other_content_of_the_same_size(
     tmp_path: Path,
 ) -> None:
+    """X-9 instead of X-8: only a checksum shows it."""
     first = Bench(tmp_path)
     stopped(first, "G90", "G1 X-8 F1200", SLOW)
     first.put("A.NC", "G90", "G1 X-9 F1200", SLOW)
@@ -166,6 +176,7 @@ def test_entry_moves_no_axis_that_was_not_homed(tmp_path: Path, z_line: str) -> 
 
 @pytest.mark.thorough
 def test_axes_homed_one_by_one_count_as_homed(tmp_path: Path) -> None:
+    """$HZ, $HX and $HY home single axes, instead of $H. ROUTER is a job of 11 lines."""
     bench = homed(Bench(tmp_path, SINGLE_AXIS_HOMING=True))
     bench.put("A.NC", *ROUTER)
     one_by_one = (*HOMED[:-1], "$HZ", "$HX", "$HY")  # without $H

@@ -1,4 +1,11 @@
-"""Test jobs: programs that are stored on the board and run without a computer."""
+"""Test jobs: programs that are stored on the board and run without a computer.
+
+$F=NAME starts a job, and $F=NAME@LINE at a line within it; $F=@ at the line where a job was
+stopped. Bench.run() runs the machine with a script from power-up to its end, and returns the
+output. say() is a script that sends lines, and then lets wait_s pass. Bench.moves are the planned
+targets in mm, Bench.steps the motors' final steps (250 per mm), and Bench.kept() is the stored
+record of a job: its name, its line, and more.
+"""
 
 import random
 import zlib
@@ -28,6 +35,10 @@ class Bench:
     """A simulated machine with a folder of jobs, and a sender; options: of the board file."""
 
     def __init__(self, folder: Path, store: "MemoryStore | None" = None, **options: Any) -> None:
+        """folder: holds the job files.
+
+        store: settings of an earlier machine, None: of a new one.
+        """
         board = ModuleType("board")
         vars(board).update(vars(load_board("sim")), JOBS=str(folder / "jobs"), **options)
         self.folder = folder / "jobs"
@@ -52,6 +63,7 @@ class Bench:
             self.log.append((link.line() + 1 if link.is_on else 0, arguments))
 
         def line(target: Any, move: Any, power: int) -> bool:
+            """Record a planned line, unless it is the system's own; then plan it."""
             if not move.flags & SYSTEM_MOTION:
                 self.moves.append(tuple(round(mm, 3) for mm in target))
                 flags = move.flags, move.feed, move.spindle_rpm
@@ -75,6 +87,7 @@ class Bench:
         output: list[str] = []
 
         def whole_script() -> Iterator[Any]:
+            """Wait for the welcome, run the script; keep output and final steps."""
             yield from self.sender.wait("banner", "")
             yield self.rig.ms(100)
             yield from script(self)
@@ -104,6 +117,7 @@ def say(*lines: str, wait_s: float = 60) -> Script:
     """Send each line after the answer to the one before, and give a job time to end."""
 
     def script(bench: Bench) -> Iterator[Any]:
+        """Send the lines one by one, each after an answer; then wait."""
         sender = bench.sender
         for line in lines:
             before = sender.answers
@@ -121,6 +135,7 @@ def to_its_end(*lines: str) -> Script:
         return text.startswith("[MSG:Job ") and not (" begins" in text or " continues at " in text)
 
     def script(bench: Bench) -> Iterator[Any]:
+        """Send the lines; resume each pause of the job, until its end is reported."""
         sender = bench.sender
         yield from say(*lines, wait_s=0)(bench)
         while not any(map(has_ended, sender.lines)):
@@ -154,6 +169,7 @@ def test_job_does_the_same_as_streamed_lines(tmp_path: Path, end: str) -> None:
 
 
 def test_last_line_without_an_end_is_executed(tmp_path: Path) -> None:
+    """The file ends with G0X2, without a line end."""
     bench = Bench(tmp_path)
     # This makes the folder.
     bench.put("A.NC", "G0X1")
@@ -163,6 +179,7 @@ def test_last_line_without_an_end_is_executed(tmp_path: Path) -> None:
 
 
 def test_lines_after_the_program_end_are_not_executed(tmp_path: Path) -> None:
+    """M30 ends the program; G0X9 comes after it."""
     bench = Bench(tmp_path)
     bench.put("A.NC", "G0X1", "M30", "%", "G0X9")
     output = bench.run(say("$F=A.NC"))
@@ -210,6 +227,7 @@ def test_words_of_fluidnc_do_the_same(tmp_path: Path) -> None:
 def test_impossible_request_is_refused_with_the_reason(
     tmp_path: Path, line: str, answer: str
 ) -> None:
+    """$F=, $F< and $FD= run, show and delete a job. Unknown commands have no message."""
     output = Bench(tmp_path).run(say(line, wait_s=0))
     assert output[-1] == "error:3"
     assert output[:-1] == ([answer] if answer else [])
@@ -252,6 +270,7 @@ def test_half_a_line_is_not_executed_if_the_rest_cannot_be_read(
 
 
 def test_refused_line_ends_the_job_with_its_number_and_the_tool_off(tmp_path: Path) -> None:
+    """G5 is unsupported (error 20). The M3 before it must not stay on."""
     bench = Bench(tmp_path)
     bench.put("A.NC", "M3S1000", "G91", "G1X5F1200", "G1X5", "G5 X1", "G1X90")
     output = bench.run(say("$F=A.NC", "$G"))
@@ -274,6 +293,7 @@ def test_tool_is_off_after_a_file_that_does_not_say_so(tmp_path: Path) -> None:
 
 
 def test_alarm_refuses_a_job(tmp_path: Path) -> None:
+    """$22=1 requires homing from the next start on; error 9 is the answer in alarm."""
     bench = Bench(tmp_path)
     bench.put("A.NC", "G0X1")
     # With homing enabled, the next start is in alarm.
@@ -283,6 +303,7 @@ def test_alarm_refuses_a_job(tmp_path: Path) -> None:
 
 
 def test_job_in_check_mode_moves_nothing(tmp_path: Path) -> None:
+    """$C is check mode: lines are read and checked only."""
     bench = Bench(tmp_path)
     bench.put("A.NC", "G0X10", "G1X20F100")
     output = bench.run(say("$C", "$F=A.NC"))
@@ -303,18 +324,19 @@ def test_sender_gets_the_progress_and_its_lines_are_refused(tmp_path: Path) -> N
     bench.put("A.NC", *LONG)
 
     def script(bench: Bench) -> Iterator[Any]:
+        """Start the job; send lines that are refused; complete a line after its end."""
         yield from bench.sender.wait("ok", "$F=A.NC\n")
         yield bench.rig.ms(1000)
         bench.sender.take()
         yield from bench.sender.wait("report", "?")
         assert "|SD:100.0,/A.NC>" in bench.sender.lines[0]  # all lines are in the ring
         bench.sender.take()
-        # Waits for the answers to all five lines
+        # The six lines, of which one is empty, have six answers.
         yield from bench.sender.wait("ok", "$G\n\n$N\nG0X99\n$J=G91X1F100\n$110=5\n")
         answers = bench.sender.take()
         assert answers[0].startswith("[GC:G1 ")
         assert answers[1:3] == ["ok", "ok"]
-        # $N, then G0, $J and $110
+        # After the lines of $N: its ok, and the answers to G0, $J and $110.
         assert answers[3:] == ["$N0=", "$N1=", "ok", "error:9", "error:8", "error:8"]
         bench.rig.link.send(b"G1 X")  # continues after the job
         yield bench.rig.ms(9000)  # the job ends
@@ -340,10 +362,12 @@ def test_line_sent_after_the_start_command_comes_first(tmp_path: Path) -> None:
 
 
 def test_hold_stores_the_line_and_a_cycle_start_resumes(tmp_path: Path) -> None:
+    """The line in which the hold stopped is stored; ~ continues it."""
     bench = Bench(tmp_path)
     bench.put("A.NC", *LONG)
 
     def script(bench: Bench) -> Iterator[Any]:
+        """Hold (!) in the job; compare the stored line with the position; resume (~)."""
         yield from bench.sender.wait("ok", "$F=A.NC\n")
         yield bench.rig.ms(1650)  # in a line in the middle
         bench.rig.link.send(b"!")
@@ -362,10 +386,12 @@ def test_hold_stores_the_line_and_a_cycle_start_resumes(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("each_ms")
 def test_reset_ends_the_job_and_reports_its_line(tmp_path: Path) -> None:
+    """A reset in motion is ALARM:3. It stores and reports the line in which it stopped."""
     bench = Bench(tmp_path)
     bench.put("A.NC", *LONG)
 
     def script(bench: Bench) -> Iterator[Any]:
+        """Reset (0x18) in the middle of the job, and unlock."""
         yield from bench.sender.wait("ok", "$F=A.NC\n")
         yield bench.rig.ms(1650)  # in a line in the middle
         yield from bench.sender.wait("banner", "\x18")
@@ -382,6 +408,7 @@ def test_reset_ends_the_job_and_reports_its_line(tmp_path: Path) -> None:
 
 
 def test_reset_in_a_dwell_is_no_alarm_and_the_line_is_stored(tmp_path: Path) -> None:
+    """A dwell (line 2) has no motion, so its position is not lost by a reset."""
     bench = Bench(tmp_path)
     bench.put("A.NC", "G0X1", "G4P9", "G0X2")
 
@@ -440,6 +467,7 @@ def push(name: str, data: bytes, checksum: "int | None" = None, cut: int = -1) -
     """Send a file as `ugrbl job push` does; cut: power fails after this number of bytes."""
 
     def script(bench: Bench) -> Iterator[Any]:
+        """Announce name, size and checksum; send each piece after its request."""
         sender = bench.sender
         crc = zlib.crc32(data) if checksum is None else checksum
         bench.rig.link.send(f"$FU={name},{len(data)},{crc:x}\n".encode())
@@ -482,11 +510,12 @@ def test_power_cut_leaves_the_old_file(tmp_path: Path, cut: int) -> None:
     files = restarted.run(say("$F", wait_s=0))
     assert files[0] == "[FILE:/NEW.NC|SIZE:5]" and files[1].startswith("[MSG:Free space: ")
     assert restarted.run(push("NEW.NC", DATA))[-1] == "ok"
-    # No temporary file is left
+    # No temporary file is left.
     assert [file.name for file in bench.folder.iterdir()] == ["NEW.NC"]
 
 
 def test_wrong_checksum_leaves_the_old_file(tmp_path: Path) -> None:
+    """The checksum 1 is not that of DATA."""
     bench = Bench(tmp_path)
     bench.put("NEW.NC", "G0X9")
     output = bench.run(push("NEW.NC", DATA, checksum=1))
@@ -508,9 +537,11 @@ def test_transfer_ends_when_the_sender_is_silent(tmp_path: Path) -> None:
 
 
 def test_reset_ends_the_transfer(tmp_path: Path) -> None:
+    """The data is never sent. Real-time bytes act during a transfer: ? is answered."""
     bench = Bench(tmp_path)
 
     def script(bench: Bench) -> Iterator[Any]:
+        """Announce a file, ask for a report, reset, and send a line."""
         bench.rig.link.send(b"$FU=A.NC,5000,0\n")
         yield bench.rig.ms(500)
         bench.rig.link.send(b"?")
@@ -558,6 +589,7 @@ def homed(bench: Bench) -> Bench:
     listen = bench.rig.on_built
 
     def on_built() -> None:
+        """Add the switches when the machine is built."""
         if listen:
             listen()
         # on_built is called at each restart of the firmware.
@@ -569,6 +601,7 @@ def homed(bench: Bench) -> Bench:
 
 
 def test_job_entry_needs_a_homed_machine(tmp_path: Path) -> None:
+    """@3: at line 3."""
     bench = Bench(tmp_path)
     bench.put("A.NC", *PROGRAM)
     output = bench.run(say("$F=A.NC@3", wait_s=1))
@@ -597,6 +630,10 @@ ROUTER = (
 def test_job_continues_at_a_line_as_if_all_before_it_had_been_executed(
     tmp_path: Path, line: int
 ) -> None:
+    """ROUTER has lines, an arc and modes.
+
+    Entered at any line, it has the moves and the end of a whole run.
+    """
     whole = homed(Bench(tmp_path))
     whole.put("A.NC", *ROUTER)
     whole.run(to_its_end(*FAST, *HOMED, "$F=A.NC"))
@@ -612,6 +649,7 @@ def test_job_continues_at_a_line_as_if_all_before_it_had_been_executed(
 
 
 def test_job_can_be_entered_after_words_that_only_lenient_accepts(tmp_path: Path) -> None:
+    """Lines 1, 2 and 4 are ignored by a lenient machine, and must not stop the entry at line 7."""
     bench = Bench(tmp_path, LENIENT=True)
     bench.put("A.NC", "%", "O1", "G21G90", "G43H1", "G0X1", "G1X2F500", "G1X3")
     output = homed(bench).run(say(*FAST, *HOMED, "$F=A.NC@7", wait_s=10))
@@ -628,6 +666,7 @@ def test_start_button_starts_the_job_from_its_beginning(tmp_path: Path) -> None:
     bench.put("A.NC", "G91", "G0X5", "G0Y5")
 
     def script(bench: Bench) -> Iterator[Any]:
+        """Press the button in a hold, in a dwell, and while idle."""
         yield from say("$FB=A.NC", wait_s=0)(bench)
         machine = bench.rig.controller
         bench.rig.link.send(b"!")
@@ -656,6 +695,7 @@ def test_hold_is_noted_when_tool_is_parked_not_while_it_moves(tmp_path: Path) ->
     bench.put("DOOR.NC", "G21G91G0Z-10", "G1X20F300")
 
     def script(bench: Bench) -> Iterator[Any]:
+        """Open the door in line 2, which is stored after the parking motion."""
         yield from say("$X", "$F=DOOR.NC", wait_s=4)(bench)  # in line 2
         bench.rig.link.send(b"\x84")  # door: the tool is parked
         yield lambda: bench.rig.controller.state.system_motion
@@ -668,7 +708,7 @@ def test_hold_is_noted_when_tool_is_parked_not_while_it_moves(tmp_path: Path) ->
         yield bench.rig.ms(15_000)
 
     assert bench.run(script)[-1] == "[MSG:Job DOOR.NC: done, 2 lines]"
-    # 20 mm and -10 mm at 250 steps/mm
+    # 20 mm and -10 mm at 250 steps/mm.
     assert bench.steps == [5000, 0, -2500] and bench.kept() == []
 
 
@@ -684,6 +724,7 @@ def test_hold_while_the_entry_is_computed_keeps_the_tool_in_place(
     bench.put("A.NC", "G21", "M3S800", *["G4P0"] * 3000, "G0X-9")
 
     def script(bench: Bench) -> Iterator[Any]:
+        """Start at line 3000, and send the byte (hold or door) 20 ms later."""
         yield from say(*FAST, *HOMED, wait_s=0)(bench)
         bench.moves.clear()
         bench.rig.link.send(b"$F=A.NC@3000\n")
@@ -705,6 +746,7 @@ def test_job_continues_with_the_modes_in_force_at_its_start(tmp_path: Path) -> N
     bench.put("A.NC", "G0X1", "G1Y1F6000", "G0X2", *["G1X9F60", "G1X8"] * 9)
 
     def script(bench: Bench) -> Iterator[Any]:
+        """Set G55, start the job, reset in line 4, home, and resume at that line."""
         setup = ("G10L2P2X-9Y-9Z-9", "G55", "G43.1Z3", "$F=A.NC")
         yield from say(*FAST, *HOMED, *setup, wait_s=4)(bench)  # in line 4, which is slow
         bench.rig.link.send(b"!")
@@ -732,12 +774,14 @@ def test_entry_after_commands_of_unknown_effect_is_refused(tmp_path: Path, line:
 def test_client_that_opens_the_port_in_a_dwell_is_welcomed_and_the_job_continues(
     tmp_path: Path,
 ) -> None:
+    """The welcome must not reset anything."""
     bench = Bench(tmp_path)
     bench.put("A.NC", "M3S700", "G4P2", "G0X1", "M5")
 
     greeting: list[bytes] = []
 
     def script(bench: Bench) -> Iterator[Any]:
+        """Start the job, and send a welcome to a new client in its dwell."""
         yield from say("$F=A.NC", wait_s=1)(bench)
         # As the firmware does for a network client that connects: only it gets the welcome.
         report = bench.rig.controller.report
@@ -759,7 +803,7 @@ def test_refused_entry_restores_modes_and_offsets_and_leaves_the_tool_off(
     """
     bench = homed(Bench(tmp_path))
     bench.put("A.NC", "G20G91G92X1", "G43.1Z2", "G54", "G5")
-    # The user's, and their report
+    # Set by the user; $G and $# report modes and offsets.
     modes = ("G55", "M3S500", "F77", "$G", "$#")
     output = bench.run(say(*FAST, *HOMED, *modes, "$F=A.NC@9", "$G", "$#", wait_s=5))
     before, after = [text for text in output if text.startswith("[GC:")]
@@ -790,6 +834,7 @@ def test_check_mode_keeps_the_stored_record(tmp_path: Path) -> None:
 
 
 def test_job_is_not_resumed_with_another_file_of_that_name(tmp_path: Path) -> None:
+    """The end of the first run() cuts the power during the job."""
     bench = homed(Bench(tmp_path))
     bench.put("A.NC", *LONG)
     bench.run(say("$F=A.NC", wait_s=1))

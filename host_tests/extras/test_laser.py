@@ -1,4 +1,9 @@
-"""Test the laser: its setting, and the power for S."""
+"""Test the laser: its setting, and the power for S.
+
+S is the speed of a spindle in rpm, from $31 to $30, which a laser has as its power. $32=1 selects
+a laser, and $33 is the frequency of its PWM output. Bench.say(text, until) sends a text, waits for
+`until`, and returns the output.
+"""
 
 import bisect
 from array import array
@@ -104,6 +109,11 @@ def due(
 def test_power_is_computed_as_in_single_precision(
     rpm: float, most: float, least: float, full: int, percent: int, follows: bool
 ) -> None:
+    """due() computes the expected power and speed.
+
+    rpm: S. most, least: $30 and $31. full: steps of power. percent: override. follows: M4, whose
+    power follows the speed of motion.
+    """
     spindle = made(most, least, full)
     state = spindle._state
     state.override_spindle(percent)
@@ -134,6 +144,7 @@ def test_report_in_motion_has_the_speed_of_the_beam(
     reports: "list[tuple[int, str]]" = []
 
     def script() -> Iterator[Any]:
+        """Send four moves with words of S; ask for reports; once override the speed."""
         yield from machine.start()
         rig = machine.rig
         # A rapid, then lines, of 3 mm each.
@@ -183,6 +194,7 @@ def test_laser_given_back_by_the_end_of_a_hold_is_no_change_to_report(
     reports = []
 
     def script() -> Iterator[Any]:
+        """Turn the tool on, hold, resume; ask for three reports after each."""
         yield from bench.say(spindle + "S600\n", "ok")
         # A spindle in hold does not stop by itself: without laser mode, 0x9e stops it.
         for sent in ("!", "\x9e" * (not laser), resumed_by):
@@ -212,6 +224,7 @@ def talk(bench: Bench, *lines: str) -> "list[list[str]]":
 
 @pytest.mark.parametrize("hz", [0, 9.9, 100_001, 1e9])
 def test_frequency_out_of_range_is_refused_and_nothing_changes(hz: float) -> None:
+    """Neither the setting, the output nor the stored file changes."""
     bench = Bench({}, "sim_laser")
     refused, listed = talk(bench, f"$33={hz:f}", "$$")
     assert refused == ["error:3"]
@@ -250,6 +263,7 @@ def test_frequency_of_the_board_file_is_the_default() -> None:
 
 
 def test_esp32_changes_frequency_at_once_and_keeps_power() -> None:
+    """A stand-in for the chip records frequency and duty of pin 16."""
     reset_stand_ins()
     port = gpio_esp.EspPort(SimpleNamespace(SPINDLE_PWM=16, PWM_MAX=1000))
     port.spindle(True, 250)  # a quarter of PWM_MAX

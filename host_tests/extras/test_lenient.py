@@ -1,4 +1,8 @@
-"""Test LENIENT: words of other controllers are ignored, replaced or refused."""
+"""Test LENIENT: words of other controllers are ignored, replaced or refused.
+
+Bench.say() sends lines and returns the replies to each of them. Bench.moves are the planned moves:
+"rapid" or the feed, then X, Y and Z in mm. Errors have the numbers of Grbl.
+"""
 
 import json
 import re
@@ -36,6 +40,7 @@ class Bench:
     """A machine, lenient or not, with its output and its planned moves."""
 
     def __init__(self, *, lenient: bool = True, extras: "tuple[str, ...]" = ()) -> None:
+        """extras: names of modules that the board installs."""
         board = ModuleType("board")
         vars(board).update(vars(load_board("sim")), LENIENT=lenient, EXTRAS=extras)
         self.rig = Rig(board, factory_store(load_board("sim")))
@@ -45,23 +50,25 @@ class Bench:
         self.moves: list[Move] = []
 
     def _listen(self) -> None:
+        """Record all planned moves: "rapid" or the feed, and the target in mm."""
         machine = self.rig.controller
         machine.interpreter.watch(MOVE)  # otherwise the kernel would handle some moves
         planner = machine.planner
-        usual = planner.line
+        call_line = planner.line
 
         def line(target: Any, move: Any, power: int) -> bool:
-            kind = "rapid" if move.flags & 1 else f"F{move.feed:g}"
+            kind = "rapid" if move.flags & 1 else f"F{move.feed:g}"  # RAPID_MOTION
             self.moves.append((kind, *(round(mm, 4) for mm in target)))
-            return usual(target, move, power)
+            return call_line(target, move, power)
 
         planner.line = line  # type: ignore[method-assign]
 
     def say(self, *lines: str) -> "list[list[str]]":
         """Return the replies to each line; pauses are ended with ~."""
-        said: list[list[str]] = []
+        replies: list[list[str]] = []
 
         def script() -> Iterator[Any]:
+            """Send each line after the answer to the one before; resume pauses."""
             yield from self.sender.wait("banner", "")
             self.sender.take()
             for line in lines:
@@ -69,25 +76,25 @@ class Bench:
                 while not self.sender.answers:
                     yield self.rig.ms(300)
                     self.sender.poll()
-                    if self.rig.controller.state.suspend:
+                    if self.rig.controller.state.suspend:  # M0, or M6
                         self.rig.link.send(b"~")
-                said.append(self.sender.take())
+                replies.append(self.sender.take())
 
         self.rig.run(script())
-        return said
+        return replies
 
 
 def answers(*lines: str, lenient: bool = True) -> "list[str]":
-    """Return the answer to each line, without messages."""
-    said = Bench(lenient=lenient).say(*lines)
-    return [[text for text in each if not text.startswith("[")][-1] for each in said]
+    """Return the last reply to each line that is no [message]: ok or an error."""
+    all_replies = Bench(lenient=lenient).say(*lines)
+    return [[text for text in replies if not text.startswith("[")][-1] for replies in all_replies]
 
 
 def moves(*lines: str, lenient: bool = True) -> "list[Move]":
     """Return the planned moves; all lines must be accepted."""
     bench = Bench(lenient=lenient)
-    said = bench.say(*lines)
-    assert all(each[-1] == "ok" for each in said), said
+    all_replies = bench.say(*lines)
+    assert all(replies[-1] == "ok" for replies in all_replies), all_replies
     return bench.moves
 
 
@@ -117,6 +124,7 @@ def moves(*lines: str, lenient: bool = True) -> "list[Move]":
 def test_word_without_meaning_here_is_ignored(
     lines: "Sequence[str]", by_hand: "Sequence[str]"
 ) -> None:
+    """A lenient machine moves as one that is not does for the same program, corrected by hand."""
     assert moves(*lines) == moves(*by_hand, lenient=False)
 
 
@@ -135,10 +143,13 @@ def test_word_without_meaning_here_is_ignored(
     ],
 )
 def test_each_word_is_named_once_until_a_reset(line: str, name: str) -> None:
-    said = Bench().say(line, line, "G4 P0", "\x18", line)
-    told = [[text for text in each if text.startswith(f"[MSG:{name}: ")] for each in said]
-    del told[2]
-    assert [len(each) for each in told] == [1, 0, 0, 1], said
+    """An ignored or replaced word is named in a message once, and again after a reset."""
+    all_replies = Bench().say(line, line, "G4 P0", "\x18", line)
+    messages = [
+        [text for text in replies if text.startswith(f"[MSG:{name}: ")] for replies in all_replies
+    ]
+    del messages[2]  # those of G4, which waits for motion before the reset
+    assert [len(replies) for replies in messages] == [1, 0, 0, 1], all_replies
 
 
 @pytest.mark.parametrize(
@@ -170,20 +181,21 @@ def test_each_word_is_named_once_until_a_reset(line: str, name: str) -> None:
 )
 def test_wrong_line_is_still_refused_and_changes_nothing(line: str) -> None:
     bench = Bench()
-    said = bench.say("G0 X1 F100", "$G", line, "$G")
-    assert [text.partition(":")[0] for text in said[2]] == ["error"], said[2]
-    assert said[1] == said[3] and len(bench.moves) == 1
+    replies = bench.say("G0 X1 F100", "$G", line, "$G")
+    assert [text.partition(":")[0] for text in replies[2]] == ["error"], replies[2]
+    assert replies[1] == replies[3] and len(bench.moves) == 1  # $G before and after the line
 
 
 def test_board_that_is_not_lenient_refuses_them_all() -> None:
+    """These are Grbl's own answers to words that a lenient board accepts."""
     lines = ("%", "O1", "G64", "G43 H1", "M6", "G98", "G81 X1 Z-1 R1 F100", "G4 S1")
     assert answers(*lines, lenient=False) == [
         "error:1",
         *["error:20"] * 6,
         "error:28",
     ]
-    said = answers("M114", "M115", "M204 S9", "M400", lenient=False)
-    assert said == [*["error:20"] * 3, "error:23"]
+    more_answers = answers("M114", "M115", "M204 S9", "M400", lenient=False)
+    assert more_answers == [*["error:20"] * 3, "error:23"]
 
 
 # What OpenPnP makes of an answer: FIRMWARE_NAME must contain "Grbl", and a position is X:, Y: and
@@ -193,29 +205,34 @@ _PLACES = re.compile(r"^.*X:(?P<X>-?\d+\.\d+) Y:(?P<Y>-?\d+\.\d+) Z:(?P<Z>-?\d+\
 
 
 def test_firmware_and_work_position_are_reported_as_openpnp_reads_them() -> None:
+    """M114 reports the work position, M115 the firmware. No part may look like an answer."""
     bench = Bench()
-    said = bench.say("G0 X1.5", "G92 X0.25 Y7", "G91 G1 Y-2 F500", "M400", "N8 M114", "M115 ; who")
-    here, ended = said[4]
-    assert ended == "ok"
-    found = _PLACES.match(here)
-    assert found and [float(number) for number in found.groups()] == [0.25, 5, 0]
-    about, ended = said[5]
-    assert ended == "ok"
-    assert dict(_PROPERTY.findall(about)) == {
+    replies = bench.say(
+        "G0 X1.5", "G92 X0.25 Y7", "G91 G1 Y-2 F500", "M400", "N8 M114", "M115 ; who"
+    )
+    position_line, last = replies[4]
+    assert last == "ok"
+    match = _PLACES.match(position_line)
+    # G92 set 0.25 and 7; Y then moved by -2.
+    assert match and [float(number) for number in match.groups()] == [0.25, 5, 0]
+    firmware_line, last = replies[5]
+    assert last == "ok"
+    assert dict(_PROPERTY.findall(firmware_line)) == {
         "FIRMWARE_NAME": "Grbl",
         "FIRMWARE_VERSION": "1.1h",
         "MACHINE_TYPE": "ugrbl",
         "AXIS_COUNT": "3",
     }
-    assert not re.search("ok|error", here + about, re.IGNORECASE)
+    assert not re.search("ok|error", position_line + firmware_line, re.IGNORECASE)
 
 
 def test_m400_is_answered_when_motion_has_ended() -> None:
-    """And M114 at once, with the place of that moment."""
+    """M114 is answered at once, with the position of that moment."""
     bench = Bench()
-    seen: list[str] = []
+    replies: list[str] = []
 
     def script() -> Iterator[Any]:
+        """Send M114 in motion, then M400, and M114 again after its answer."""
         sender, link = bench.sender, bench.rig.link
         yield from sender.wait("banner", "")
         link.send(b"G1 X5 F500\n")
@@ -223,49 +240,55 @@ def test_m400_is_answered_when_motion_has_ended() -> None:
         link.send(b"M114\n")
         yield bench.rig.ms(10)
         sender.poll()
-        seen.extend(sender.take())
+        replies.extend(sender.take())
         assert bench.rig.moving()
         yield from sender.wait("ok", "M400\n")
         assert not bench.rig.moving()
         yield from sender.wait("ok", "M114\n")
-        seen.extend(sender.take())
+        replies.extend(sender.take())
 
     bench.rig.run(script())
-    early, late = (float(line[2:7]) for line in seen if line.startswith("X:"))
+    # The number after "X:".
+    early, late = (float(line[2:7]) for line in replies if line.startswith("X:"))
     assert 0 < early < 2 and late == 5
 
 
 def test_check_mode_executes_none_of_them() -> None:
-    said = Bench().say("$C", "M114", "M115", "M400", "M204 S9 G1 X1 F100")
-    assert [each[-1] for each in said] == ["ok"] * 5
-    assert said[1:4] == [["ok"]] * 3
+    all_replies = Bench().say("$C", "M114", "M115", "M400", "M204 S9 G1 X1 F100")
+    assert [replies[-1] for replies in all_replies] == ["ok"] * 5
+    assert all_replies[1:4] == [["ok"]] * 3  # no reports
 
 
 def test_active_tool_length_is_not_ended_by_an_ignored_word() -> None:
-    said = Bench().say("G43.1 Z2", "G0 G49", "G49", "G0 G49 X1")
-    assert [each[-1] for each in said] == ["ok", "error:24", "ok", "ok"]
+    """With a tool length active, G49 is not ignored: it is executed or refused as by Grbl."""
+    all_replies = Bench().say("G43.1 Z2", "G0 G49", "G49", "G0 G49 X1")
+    assert [replies[-1] for replies in all_replies] == ["ok", "error:24", "ok", "ok"]
 
 
 def test_m6_waits_for_the_user_with_the_spindle_off() -> None:
+    """M6 stops the spindle, names the tool, and holds (Hold:0) until ~; only then comes its ok."""
     bench = Bench()
-    seen: list[tuple[bool, str]] = []
+    observed: list[tuple[bool, str]] = []
 
     def script() -> Iterator[Any]:
+        """Start the spindle, change the tool, look at spindle and report, and resume."""
         yield from bench.sender.wait("ok", "M3 S100\n")
-        yield from bench.sender.wait("ms 1000", "N7 T12 M6\n")
+        yield from bench.sender.wait("ms 1000", "N7 T12 M6\n")  # send, and wait for 1000 ms
         yield from bench.sender.wait("report", "?")
-        seen.append((bench.rig.port.spindle_on, "".join(bench.sender.take())))
+        observed.append((bench.rig.port.spindle_on, "".join(bench.sender.take())))
         yield from bench.sender.wait("ok", "~\n")
 
     bench.rig.run(script())
-    ((spindle_on, said),) = seen
-    assert not spindle_on and "[MSG:Insert tool 12, then send ~]" in said and "<Hold:0|" in said
-    assert not said.endswith("ok"), "the line is answered before the tool is changed"
+    ((spindle_on, output),) = observed
+    assert (
+        not spindle_on and "[MSG:Insert tool 12, then send ~]" in output and "<Hold:0|" in output
+    )
+    assert not output.endswith("ok"), "the line is answered before the tool is changed"
 
 
 # Drilling
 
-AT = ("G0 Z10", "G0 X1 Y1")
+AT = ("G0 Z10", "G0 X1 Y1")  # where the tool is before a cycle
 
 
 @pytest.mark.parametrize(
@@ -335,6 +358,7 @@ AT = ("G0 Z10", "G0 X1 Y1")
     ],
 )
 def test_cycle_drills_as_in_the_standard(cycle: "Sequence[str]", by_hand: "Sequence[str]") -> None:
+    """A cycle makes the same moves as its lines written by hand for a board without cycles."""
     assert moves(*AT, *cycle) == moves(*AT, *by_hand, lenient=False)
 
 
@@ -366,10 +390,12 @@ def test_cycle_drills_as_in_the_standard(cycle: "Sequence[str]", by_hand: "Seque
     ],
 )
 def test_impossible_cycle_is_refused_and_changes_nothing(line: str, error: int) -> None:
+    """Words are missing, contradict each other, or have impossible values."""
     bench = Bench()
-    said = bench.say("$G", line, "$G", "G0 X1", "X2")
-    assert said[1] == [f"error:{error}"]
-    assert said[0] == said[2]
+    replies = bench.say("$G", line, "$G", "G0 X1", "X2")
+    assert replies[1] == [f"error:{error}"]
+    assert replies[0] == replies[2]  # $G
+    # Only the last two lines moved; G81 is not active.
     assert [move[0] for move in bench.moves] == ["rapid"] * 2
 
 
@@ -390,25 +416,33 @@ HOLE = "G81 X5 Y5 Z-2 R2 F600"
     ],
 )
 def test_modal_numbers_with_another_meaning_are_not_reused(line: str, error: int) -> None:
+    """A cycle's R and Z stay in force for lines of places.
+
+    A line that changes units, mode or plane cannot reuse them; the next line still can.
+    """
     bench = Bench()
-    said = bench.say(*AT, HOLE, "$G", line, "$G", "X6")
-    assert said[4] == [f"error:{error}"] and said[3] == said[5]
+    replies = bench.say(*AT, HOLE, "$G", line, "$G", "X6")
+    assert replies[4] == [f"error:{error}"] and replies[3] == replies[5]
+    # The hole of the last line, X6: over it, to R, to Z, and back.
     assert [move[1:] for move in bench.moves[-4:]] == [(6, 5, z) for z in (10, 2, -2, 10)]
 
 
 @pytest.mark.parametrize("word", ["G98", "G99", "G43 H1", "G64", "N5", "%"])
 def test_ignored_words_may_be_in_a_line_of_places(word: str) -> None:
+    """A line of places (X6) repeats the hole of an active cycle."""
     bench = Bench()
     line = f"X6{word}" if word == "%" else f"{word} X6"
-    said = bench.say(*AT, HOLE, line)
-    assert said[-1][-1] == "ok"
-    end = 2 if word == "G99" else 10
-    assert [move[1:] for move in bench.moves[-4:]] == [(6, 5, z) for z in (10, 2, -2, end)]
+    replies = bench.say(*AT, HOLE, line)
+    assert replies[-1][-1] == "ok"
+    last_z = 2 if word == "G99" else 10  # G99: up to R only
+    assert [move[1:] for move in bench.moves[-4:]] == [(6, 5, z) for z in (10, 2, -2, last_z)]
 
 
 def test_new_plane_starts_the_cycle_anew() -> None:
+    """In G18 the drilling axis is Y: Y-3 is the bottom, R4 the height above it."""
     bench = Bench()
     bench.say(*AT, HOLE, "G18 X6 Y-3 R4")
+    # Y to R 4, down to -3, and back to the Y before the cycle, 5.
     assert [move[1:] for move in bench.moves[-3:]] == [(6, 4, 10), (6, -3, 10), (6, 5, 10)]
 
 
@@ -417,37 +451,45 @@ def test_pecks_smaller_than_a_step_are_refused() -> None:
 
 
 def test_reset_in_check_mode_acts_during_any_number_of_holes() -> None:
+    """L repeats a cycle in one line. Reports and a reset must not wait for its end."""
     bench = Bench()
-    said: list[str] = []
+    output: list[str] = []
 
     def script() -> Iterator[Any]:
+        """In check mode ($C), send a line of 9,999,999 holes; ask for a report, and reset."""
         yield from bench.sender.wait("banner", "")
         yield from bench.sender.wait("ok", "$C\n")
         yield from bench.sender.wait("ms 500", "G81 X5 Z-10 R2 F100 L9999999\n")
         yield from bench.sender.wait("report", "?")
-        said.extend(bench.sender.take())
+        output.extend(bench.sender.take())
         yield from bench.sender.wait("banner", "\x18")
 
     bench.rig.run(script())
-    assert said[-1].startswith("<Check")
+    assert output[-1].startswith("<Check")
 
 
 def test_m6_names_the_last_tool_word_and_none_after_a_reset() -> None:
-    said = Bench().say(*AT, HOLE, "X6 T3", "M6", "T7", "G4 P0", "\x18", "M6")
-    told = [text for each in said for text in each if text.startswith("[MSG:Insert tool")]
-    assert told == ["[MSG:Insert tool 3, then send ~]", "[MSG:Insert tool 0, then send ~]"]
+    """T3 is in force at the first M6. The reset clears T7, so the second M6 names tool 0."""
+    all_replies = Bench().say(*AT, HOLE, "X6 T3", "M6", "T7", "G4 P0", "\x18", "M6")
+    messages = [
+        text for replies in all_replies for text in replies if text.startswith("[MSG:Insert tool")
+    ]
+    assert messages == ["[MSG:Insert tool 3, then send ~]", "[MSG:Insert tool 0, then send ~]"]
 
 
 @pytest.mark.parametrize("line", ["G43 H2", "G43 G43.1 Z5", "M3 G4 S3"])
 def test_word_with_a_meaning_is_not_ignored(line: str) -> None:
-    said = Bench().say("G43.1 Z3", "$G", line, "$G")
-    assert said[2][-1].startswith("error:") and said[1] == said[3]
+    """G43 during a tool length, or G4 S with M3 (whose S is a speed), is refused as by Grbl."""
+    replies = Bench().say("G43.1 Z3", "$G", line, "$G")
+    assert replies[2][-1].startswith("error:") and replies[1] == replies[3]
 
 
 def test_end_of_a_program_ends_g99_with_the_cycle() -> None:
+    """After M2 the retract is to the Z before the cycle again (G98)."""
     hole = "G81 X5 Z-2 R2 F1000"
     bench = Bench()
     bench.say(*AT, "G99 " + hole, "M2", "G0 Z10", hole)
+    # Z of the moves: bottom, R (G99); 10; over the hole, R, bottom, and back to 10 (G98).
     assert [move[3] for move in bench.moves[-7:]] == [-2, 2, 10, 10, 2, -2, 10]
 
 
@@ -468,21 +510,25 @@ _LINES = st.lists(st.lists(_WORDS, min_size=1, max_size=6).map(" ".join), max_si
 @given(_LINES)
 @some(60)
 def test_every_line_is_executed_or_refused_without_effect(lines: "list[str]") -> None:
+    """Lines are random words, many of them those that LENIENT handles."""
     bench = Bench()
-    asked = [text for line in lines for text in ("$G", line, "$G")]
-    said = bench.say(*asked, "$G")
-    for line, before, answer, behind in zip(lines, said[::3], said[1::3], said[2::3]):
+    # $G before and after each line shows whether it had an effect.
+    sent = [text for line in lines for text in ("$G", line, "$G")]
+    all_replies = bench.say(*sent, "$G")
+    for line, before, answer, after in zip(
+        lines, all_replies[::3], all_replies[1::3], all_replies[2::3]
+    ):
         assert answer[-1] == "ok" or re.fullmatch(r"error:\d+", answer[-1]), (line, answer)
         if answer[-1] != "ok":
             assert answer[:-1] == [], (line, answer)
-            assert before == behind, line
+            assert before == after, line
 
 
 # Extras that define such words
 
 
 def beside(install: "Callable[[Cnc], None]", monkeypatch: pytest.MonkeyPatch) -> Bench:
-    """Return a lenient machine with an extra."""
+    """Return a lenient machine with an extra whose install() is this function."""
     extra = ModuleType("mine")
     extra.install = install  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "mine", extra)
@@ -490,24 +536,45 @@ def beside(install: "Callable[[Cnc], None]", monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_words_of_extras_have_precedence(monkeypatch: pytest.MonkeyPatch) -> None:
-    heard: list[Any] = []
+    """An extra defines M6, G81 and M100: these are not ignored or replaced.
+
+    Grbl's rules apply to them; other words and cycles are still those of LENIENT.
+    """
+    calls: list[Any] = []
 
     def install(cnc: Cnc) -> None:
-        cnc.add_m(6, heard.append, "t")
-        cnc.add_g(81, lambda x: heard.append(("hole", x)), "X")
-        cnc.add_m(100, heard.append, "X")
+        cnc.add_m(6, calls.append, "t")
+        cnc.add_g(81, lambda x: calls.append(("hole", x)), "X")
+        cnc.add_m(100, calls.append, "X")
 
     bench = beside(install, monkeypatch)
-    said = bench.say(
+    all_replies = bench.say(
         "T3 M6", "G81 X2", "G81 X2 Y1", "T3 M6 G64", "G82 X1 Z-1 R1 P0 F900", "X2", "M100 X7"
     )
-    assert heard == [3.0, ("hole", 2.0), 7.0]
-    assert [each[-1] for each in said] == ["ok", "ok", "error:36", "error:21", "ok", "ok", "ok"]
-    assert len(bench.moves) == 7 and not any("[MSG:M6" in text for each in said for text in each)
+    assert calls == [3.0, ("hole", 2.0), 7.0]
+    assert [replies[-1] for replies in all_replies] == [
+        "ok",
+        "ok",
+        "error:36",
+        "error:21",
+        "ok",
+        "ok",
+        "ok",
+    ]
+    # 7 moves: those of the two holes of G82.
+    assert len(bench.moves) == 7 and not any(
+        "[MSG:M6" in text for replies in all_replies for text in replies
+    )
 
 
 def test_lines_of_handlers_are_not_part_of_a_cycle(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A handler of M100 moves Z by lines of its own while a cycle is active.
+
+    These are no holes, and the next line of places drills.
+    """
+
     def install(cnc: Cnc) -> None:
+        """Define M100, which moves Z down and up, and a G43 that is always refused."""
         hooks = cnc.machine.state.hooks
 
         def lower() -> None:
@@ -521,12 +588,14 @@ def test_lines_of_handlers_are_not_part_of_a_cycle(monkeypatch: pytest.MonkeyPat
         cnc.add_g(43, refuse, "H")
 
     bench = beside(install, monkeypatch)
-    said = bench.say(*AT, HOLE, "M100", "X7", "G43 H1", "G0 G43 H1 Z5")
+    all_replies = bench.say(*AT, HOLE, "M100", "X7", "G43 H1", "G0 G43 H1 Z5")
     assert [move[1:] for move in bench.moves[-4:]] == [(7, 5, z) for z in (20, 2, -2, 10)]
-    assert [each[-1] for each in said[-2:]] == ["error:4", "error:36"]
+    assert [replies[-1] for replies in all_replies[-2:]] == ["error:4", "error:36"]
 
 
 def test_extra_with_a_cycle_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """add_cycle() would define a cycle, here G86, of the extra's own."""
+
     def install(cnc: Cnc) -> None:
         cnc.add_cycle(86, lambda *_: ())
 
@@ -535,14 +604,20 @@ def test_extra_with_a_cycle_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_holes_begin_at_the_position_left_by_a_handler(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A handler moves Z to -2 in the line of a cycle.
+
+    The cycle starts there, below R: first it moves up to R, and at the end back to R.
+    """
+
     def install(cnc: Cnc) -> None:
+        """Let each line with T4 be followed by a move to Z-2."""
         hooks = cnc.machine.state.hooks
-        usual = hooks.execute
+        call_execute = hooks.execute
 
         def execute(line: bytearray, length: int) -> None:
-            usual(line, length)
+            call_execute(line, length)
             if line[:2] == b"T4":
-                usual(bytearray(b"G53G0Z-2\0"), 8)
+                call_execute(bytearray(b"G53G0Z-2\0"), 8)
 
         hooks.execute = execute
 
@@ -563,7 +638,7 @@ def board(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 def motion(lines: "Sequence[str]", board: str) -> "dict[str, Any]":
-    """Return the motion of a program, which must be accepted."""
+    """Return steps, bounds and final position of a program, which must be accepted."""
     result, _ = run_program([line.encode("latin-1") for line in lines], board=board)
     assert not result.errors and not result.stopped, result
     totals = vars(result.totals)
@@ -572,7 +647,10 @@ def motion(lines: "Sequence[str]", board: str) -> "dict[str, Any]":
 
 @pytest.mark.thorough
 def test_lines_of_places_drill_on_the_fast_path(board: str) -> None:
-    """Lines with only places take the fastest path, and must not become moves there."""
+    """Lines with only places (X… Y…) are moves for the firmware's fastest code.
+
+    While a cycle is active they must be holes.
+    """
     places = [f"X{k} Y{k % 7}" for k in range(6, 40)]
     program = ["G0 Z10", "G81 X5 Y5 Z-2 R2 F600", *places, "G80", "G0 X1", "X2", "M2"]
     by_hand = ["G0 Z10", "F600"]
@@ -585,14 +663,18 @@ def test_lines_of_places_drill_on_the_fast_path(board: str) -> None:
 @pytest.mark.thorough
 @needs_programs
 def test_most_real_programs_run_without_errors(board: str) -> None:
-    refused = [name for name, seen in _GRBL.items() if seen["errors"]]
-    clean = []
-    for name in refused:
+    """At least 30 of the real programs run without errors.
+
+    Those of _SMALL, which Grbl refuses, are among them.
+    """
+    refused_by_grbl = [name for name, figures in _GRBL.items() if figures["errors"]]
+    accepted_now = []
+    for name in refused_by_grbl:
         result, _ = run_program(read_lines(_PROGRAMS / name), board=board, check=True)
         if not result.errors:
-            clean.append(name)
-    assert len(_GRBL) - len(refused) + len(clean) >= 30
-    assert set(_SMALL) <= set(clean)
+            accepted_now.append(name)
+    assert len(_GRBL) - len(refused_by_grbl) + len(accepted_now) >= 30
+    assert set(_SMALL) <= set(accepted_now)
 
 
 # Short programs that Grbl refuses.
@@ -608,7 +690,7 @@ _SMALL = (
     "vcarve_fengrave.tap",
     "vectric_deer.tap",
 )
-_FIRST = 100  # of each; only moves follow
+_FIRST = 100  # lines of each that are used; only moves follow
 # The changes that a user of Grbl makes by hand, except drilling.
 _BY_HAND = (
     (r"^(N\d+)? *%|^O\d+.*", ""),
@@ -633,6 +715,7 @@ def by_hand(lines: "Sequence[bytes]") -> "list[str]":
         for pattern, new in _BY_HAND:
             text = re.sub(pattern, new, text).strip()
         words = dict(re.findall(r"([A-Z]) *(-?[\d.]+)", text))
+        # A drilling cycle, or a line of places while one is active: written as moves.
         if words.get("G") in ("73", "81") or (drill and words):
             drill = {**drill, **words}
             cleaned += _drilled(drill, words)
@@ -642,15 +725,16 @@ def by_hand(lines: "Sequence[bytes]") -> "list[str]":
 
 
 def _drilled(drill: "dict[str, str]", words: "dict[str, str]") -> "Iterator[str]":
-    """Return a hole in Grbl's words; in these programs the tool is at R before and after it."""
+    """Yield a hole as Grbl's moves. In these programs the tool is at R before and after it."""
     yield "G0 " + " ".join(letter + words[letter] for letter in "XY" if letter in words)
     top, bottom = float(drill["R"]), float(drill["Z"])
     if "Q" in drill:
-        deep = top - float(drill["Q"])
-        while deep > bottom + 1e-6:
-            yield f"G1 Z{round(deep, 4)} F{drill['F']}"
-            yield f"G0 Z{round(min(top, deep + 0.254), 4)}"
-            deep -= float(drill["Q"])
+        depth = top - float(drill["Q"])
+        while depth > bottom + 1e-6:
+            yield f"G1 Z{round(depth, 4)} F{drill['F']}"
+            # Each peck begins 0.254 mm above the last bottom, as in G73.
+            yield f"G0 Z{round(min(top, depth + 0.254), 4)}"
+            depth -= float(drill["Q"])
     yield f"G1 Z{drill['Z']} F{drill['F']}"
     yield f"G0 Z{drill['R']}"
 

@@ -1,4 +1,8 @@
-"""Test MOVES: motors that move axes together, as described in the board file."""
+"""Test MOVES: motors that move axes together, as described in the board file.
+
+MOVES has a text for each motor: "X+Y" is a motor that moves by the sum of both. Machine.physical()
+returns the steps of the motors, Machine.reported() the last reported position.
+"""
 
 from collections.abc import Sequence
 from types import ModuleType

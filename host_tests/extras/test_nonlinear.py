@@ -1,4 +1,9 @@
-"""Test user-defined kinematics: the tool stays on its path, joints within their limits."""
+"""Test user-defined kinematics: the tool stays on its path, joints within their limits.
+
+The machines are the two examples: a SCARA (two arms, joints in degrees) and a polar plotter (an
+arm in mm, a table in degrees). Machine.physical() returns the steps of the motors,
+Machine.reported() the last reported position of the tool, Machine.received all output.
+"""
 
 import math
 import random
@@ -167,6 +172,7 @@ def words(at: Place) -> str:
 @pytest.mark.parametrize("kind", _KINDS)
 @pytest.mark.parametrize("tolerance", [0.01, 0.1])
 def test_lines_keep_within_the_arc_tolerance(kind: str, tolerance: float) -> None:
+    """Random lines of the tool, which joints follow by many short chords."""
     places = random_places(kind, 7, 4)
     lines = [f"G1{words(end)}F3000" for end in places[1:]]
     # $12 is the arc tolerance, in mm.
@@ -179,7 +185,7 @@ def test_lines_keep_within_the_arc_tolerance(kind: str, tolerance: float) -> Non
 
 @pytest.mark.parametrize("kind", _KINDS)
 def test_arcs_and_helices_keep_within_the_arc_tolerance(kind: str) -> None:
-    """A line to a circle of 20 mm, half of it down to Z-5, and the same half back."""
+    """A line to a circle with radius 20 mm, half of it down to Z-5, and the same half back."""
     x, y = _MIDDLE[kind]
     first = (x + 20.0, y, 0.0)
     lines = [f"G1{words(first)}F3000", f"G3X{x - 20}Y{y}Z-5I-20J0", f"G2X{x + 20}Y{y}I20J0"]
@@ -243,6 +249,7 @@ def test_joints_keep_their_rate_and_acceleration(kind: str, word: str) -> None:
             before: str = before,
             rows_before: Any = rows_before,
         ) -> Iterator[Any]:
+            """Move to the first place, note the number of rows, and make the measured move."""
             yield from cnc.start()
             yield from cnc.sender.wait("idle", f"G0{before}\n", 1)
             cnc.take()
@@ -257,7 +264,7 @@ def test_joints_keep_their_rate_and_acceleration(kind: str, word: str) -> None:
             fastest = settings.max_rate[i] / 60  # settings: units per min
             assert max(map(abs, motor_rates)) <= fastest * 1.01 + slack
             largest_change = max(abs(after - before) for before, after in pairwise(motor_rates))
-            # Settings: units per min2
+            # Settings: units per min2.
             allowed_change = settings.acceleration[i] / 3600 * _WINDOW_S
             assert largest_change <= allowed_change * 1.1 + 2 * slack, (end, i)
 
@@ -300,6 +307,7 @@ def test_inverse_time_is_kept_for_a_line_of_many_chords(kind: str) -> None:
     "line", ["G0X0Y300", "G1X0Y300F500", "G2X0Y290R145F500", "G38.2X0Y300F50"]
 )
 def test_unreachable_target_is_refused_without_any_effect(kind: str, line: str) -> None:
+    """Y300 is out of reach. M3, S500 and the motion mode of the refused line must not apply."""
     cnc = played(kind, ["M3S500" + line, "$G"])
     assert "error:33" in cnc.received
     assert any("is out of reach" in x for x in cnc.received)
@@ -339,6 +347,7 @@ def test_jog_is_straight_and_can_be_cancelled_anywhere(kind: str) -> None:
         cancelled = []
 
         def script(cnc: Machine = cnc, ms: int = ms, cancelled: Any = cancelled) -> Iterator[Any]:
+            """Jog, cancel (0x85) after some ms, note both positions, and move to the middle."""
             yield from cnc.start()
             yield from cnc.sender.wait("idle", f"G0X{x - 35}Y{y}\n", 1)
             cnc.rig.link.send(f"$J=X{x + 40}F3000\n".encode())
@@ -362,6 +371,7 @@ def test_jog_is_straight_and_can_be_cancelled_anywhere(kind: str) -> None:
 @pytest.mark.thorough
 @pytest.mark.parametrize("kind", _KINDS)
 def test_hold_anywhere_keeps_the_path(kind: str) -> None:
+    """A hold at different ms, ended 400 ms later, does not move the tool off its lines."""
     places = random_places(kind, 3, 4)
     lines = [f"G1{words(end)}F3000" for end in places[1:]]
     for ms in range(700, 2500, 480):
@@ -375,6 +385,7 @@ def test_hold_anywhere_keeps_the_path(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", _KINDS)
 def test_position_is_right_after_a_reset_in_motion(kind: str) -> None:
+    """A reset (0x18) at different ms: the report is that of the motors' steps."""
     x, y = _MIDDLE[kind]
     for ms in range(500, 1400, 170):
         cnc = played(kind, [f"G1X{x}Y{y}F1500", f"G1X{x + 20}F1500"], {}, [(ms, "\x18")])
@@ -427,6 +438,7 @@ def test_touch_that_ends_during_a_hold_is_ignored_on_a_long_line(kind: str) -> N
     rig = cnc.rig
 
     def script() -> "Iterator[Any]":
+        """Probe towards x + 30, hold, close and open the probe meanwhile, and resume."""
         yield from cnc.start()
         yield from cnc.sender.wait("idle", f"G0X{x - 30}Y{y}\n", 1)
         rig.link.send(f"G38.3X{x + 30}F1500\n".encode())
@@ -523,13 +535,14 @@ def test_documentation_shows_the_example_unchanged() -> None:
 
 
 def test_run_reports_distance_and_bounds_of_the_tool(tmp_path: Path) -> None:
+    """`ugrbl run` of a square with sides of 40 mm."""
     file = tmp_path / "square.nc"
     file.write_text("G1X40F3000\nY40\nX0\nY0\n")
     result = CliRunner().invoke(
         app, ["run", str(file), "--board", str(_EXAMPLES / "my_plotter.py")]
     )
     assert result.exit_code == 0, result.output
-    # Mm of four sides of 40 mm
+    # Four sides of 40 mm.
     assert "160" in result.output and "40.0" in result.output, result.output
 
 

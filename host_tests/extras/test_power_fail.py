@@ -2,6 +2,12 @@
 
 The flash of the record is a littlefs image. A page takes 3 ms, the longest of the data sheet; a
 cut in that time leaves a part of it.
+
+The failing supply opens a contact (the edge), and lasts 100 ms longer. Power.fails_in_job(ms) runs
+a job and fails so late after its beginning. Then `writes` has the ms of page writes after the
+edge, `steps` the motors' steps at each ms. Power.cut(ms) returns the flash if the supply is gone
+at that ms; Power.starts(flash) returns the output of the next start. Power.at(ms) is the position
+then.
 """
 
 import copy
@@ -36,6 +42,7 @@ class Power:
     """The supply of a machine with POWER_FAIL, and its flash. The machine's bench is `bench`."""
 
     def __init__(self, patch: pytest.MonkeyPatch, folder: Path, **options: Any) -> None:
+        """folder: holds the job. options: more options of the board file."""
         self._patch = patch
         self.folder = folder
         self.options = {"POWER_FAIL": _PIN, **options}
@@ -98,6 +105,7 @@ class Power:
         self.bench.put(_JOB, *lines)
 
         def script(bench: Bench) -> Iterator[Any]:
+            """Start the job, wait until its start is recorded, and fail after_ms later."""
             yield from say(*FAST, *HOMED, *settings, f"$F={_JOB}", wait_s=0)(bench)
             yield from bench.sender.until(lambda: bench.kept() != [])  # the start is recorded
             bench.sender.take()
@@ -223,6 +231,7 @@ def test_cut_at_every_millisecond_leaves_the_record_or_the_journal(
 @pytest.mark.sampled(12, 60)
 @pytest.mark.parametrize("after_ms", range(120, 620))
 def test_failure_at_every_millisecond_of_a_job_is_recorded(power: Power, after_ms: int) -> None:
+    """The record is written before 100 ms, with the position and the line of the stop."""
     power.fails_in_job(after_ms)
     (written_ms,) = power.writes
     lines = power.line_at(power.steps[-1])
@@ -250,7 +259,11 @@ _WAITING = {
 def test_line_is_exact_while_the_loop_waits_in_a_line(
     power: Power, lines: "tuple[str, ...]", line: int, ms: int
 ) -> None:
-    """The supply fails while the main loop waits within a line (see _WAITING)."""
+    """The supply fails while the main loop waits in a line, and the record has that line.
+
+    Lines are an arc too long for the planner, a dwell, or a word that waits for the end of motion.
+    """
+    # The parameter `line` is that in which it waits: line 1 has the modes.
     power.fails_in_job(ms, lines=("G21G91G1F3000", *lines))
     parts = report(power.starts(power.cut(100)))
     assert parts["sure"] == _CERTAIN and int(parts["line"]) == line
@@ -318,6 +331,7 @@ def test_supply_that_comes_back_leaves_a_machine_in_alarm(power: Power) -> None:
     lines: list[set[int]] = []
 
     def script(bench: Bench) -> Iterator[Any]:
+        """Twice let the supply fail and return in the job, and resume at the record."""
         yield from say(*FAST, *HOMED, f"$F={_JOB}", wait_s=0)(bench)
         for line in (20, 45):
             yield from bench.sender.until(lambda line=line: has_planned(bench, line))
@@ -343,6 +357,7 @@ def test_nothing_moves_while_the_contact_is_open(power: Power) -> None:
     """Also from power-up on, because the wire may be cut: each attempt ends in ALARM:36."""
 
     def script(bench: Bench) -> Iterator[Any]:
+        """Try to move with an open contact, close it, and move."""
         Pin(_PIN).drive(1)  # open
         yield bench.rig.ms(1000)
         assert "ALARM:36" in bench.sender.take()
@@ -356,7 +371,10 @@ def test_nothing_moves_while_the_contact_is_open(power: Power) -> None:
 
 
 def test_tool_does_not_turn_while_the_contact_is_open(power: Power) -> None:
+    """M3 with an open contact is ALARM:36, like motion."""
+
     def script(bench: Bench) -> Iterator[Any]:
+        """Open the contact, unlock, and try to start the spindle."""
         Pin(_PIN).drive(1)  # open
         yield bench.rig.ms(1000)
         bench.sender.take()
@@ -385,10 +403,14 @@ _STATES = {
 
 @pytest.mark.parametrize("state", _STATES)
 def test_failure_stops_the_machine_in_every_state(power: Power, state: str) -> None:
-    """See _STATES. A position that is lost or was never known (homing, alarm) is not recorded."""
-    before, line, byte = _STATES[state]
+    """_STATES has a line and a real-time byte by which each state is entered.
+
+    A position that is lost or unknown is not recorded.
+    """
+    before, line, byte = _STATES[state]  # before: a line that comes first, "" is none
 
     def script(bench: Bench) -> Iterator[Any]:
+        """Enter the state by line and byte, let the supply fail, and return 1 s later."""
         yield from say(*FAST, *HOMED[:-1], "$X", "M3S100", wait_s=0)(bench)
         bench.rig.link.send(f"{before}\n".encode() if before else b"")
         yield bench.rig.ms(50)
@@ -412,8 +434,9 @@ def test_failure_stops_the_machine_in_every_state(power: Power, state: str) -> N
 
 
 def test_time_of_a_stop_is_reported_for_the_settings(power: Power) -> None:
-    """The time is 14 ms of steps already queued, the braking of the slowest axis, and 3 ms to
-    write.
+    """The time has three parts.
+
+    These are 14 ms of steps already queued, the braking of the slowest axis, and 3 ms to write.
     """
     output = power.bench.run(say(*FAST, "$I", wait_s=0))
     # 14 + 50 + 3: FAST has 100 mm/s and 2000 mm/s2.
@@ -428,6 +451,7 @@ def test_time_of_a_stop_is_reported_for_the_settings(power: Power) -> None:
 def test_board_whose_flash_has_no_page_says_so(
     power: Power, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Without a page there is no record, but the machine stops; the next start reports it."""
     monkeypatch.setattr(prepared_page, "flash_of_chip", lambda: None)
     output = power.fails_in_job(100)
     assert "ALARM:36" in output and power.writes == []

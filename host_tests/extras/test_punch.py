@@ -2,6 +2,10 @@
 
 The simulated machine checks this: it raises BrokenLaw at any step made while the punch is not
 fully up, and at a stroke that begins during motion.
+
+Bench.lines() sends lines that must be answered with ok, Bench.passes(ms) lets time pass and
+returns the output. Bench.port is the simulated punch: its place() is from 0 (up) to 1 (down),
+`dead` is a mask of sensors that never respond, and if it is `stuck`, it does not move.
 """
 
 import math
@@ -32,7 +36,7 @@ pytestmark = pytest.mark.usefixtures("each_ms")
 
 _EXAMPLES = Path(__file__).parents[2] / "examples"
 _PROGRAM = _EXAMPLES / "punch.nc"
-_PER_MM = 250
+_PER_MM = 250  # steps
 _FAST = ("$110=6000", "$111=6000", "$112=6000", "$120=500", "$121=500", "$122=500")
 _NOT_DOWN = ["ALARM:32", "[MSG:Punch not down]"]
 _NOT_UP = ["ALARM:33", "[MSG:Punch not up]"]
@@ -44,6 +48,7 @@ class Bench:
     """A punching machine and a sender."""
 
     def __init__(self, settings: Sequence[str] = _FAST, board: str = "sim_punch") -> None:
+        """settings: stored lines of $n=value. board: name of a simulated board."""
         module = load_board(board)
         store = factory_store(module)
         store.files["settings_punch"] += settings
@@ -92,7 +97,7 @@ class Bench:
 
 
 def play(script: "Callable[[Bench], Iterator[Any]]", *arguments: Any) -> Bench:
-    """Run a script on a new bench after the banner."""
+    """Run a script on a new bench after the banner; return the bench. Arguments: of Bench."""
     bench = Bench(*arguments)
 
     def whole() -> Iterator[Any]:
@@ -107,6 +112,8 @@ def play(script: "Callable[[Bench], Iterator[Any]]", *arguments: Any) -> Bench:
 
 
 def test_every_line_of_motion_ends_with_a_stroke_while_armed() -> None:
+    """M3 and M4 arm the punch, M5 disarms it. A change from M3 to M4 makes no stroke."""
+
     def script(bench: Bench) -> Iterator[Any]:
         yield from bench.lines(
             "G0X1", "M3", "X2", "G1X3Y1F600", "G2X5R1", "M4", "G0X7", "M5", "X9"
@@ -117,12 +124,14 @@ def test_every_line_of_motion_ends_with_a_stroke_while_armed() -> None:
 
 def test_line_with_zero_length_makes_a_stroke() -> None:
     def script(bench: Bench) -> Iterator[Any]:
-        yield from bench.lines("M3", "G0X0", "G0", "X0")
+        yield from bench.lines("M3", "G0X0", "G0", "X0")  # the second G0 has no axis words
 
     assert play(script).holes() == [(0, 0), (0, 0)]
 
 
 def test_other_lines_make_no_stroke() -> None:
+    """While the punch is armed, only G0 to G3 of a program make strokes, and no other motion."""
+
     def script(bench: Bench) -> Iterator[Any]:
         yield from bench.lines("M3S1000", "G4P0.1", "G28", "G30X1", "G92X0", "G92.1", "$J=X3F600")
         yield from bench.lines("F100", "G1", "G80", "S200")
@@ -133,6 +142,8 @@ def test_other_lines_make_no_stroke() -> None:
 
 
 def test_check_mode_makes_no_stroke() -> None:
+    """$C is check mode; M3 arms the punch, and G0 would make a stroke."""
+
     def script(bench: Bench) -> Iterator[Any]:
         yield from bench.say("$C\n")
         yield from bench.lines("M3", "G0X1")
@@ -143,9 +154,13 @@ def test_check_mode_makes_no_stroke() -> None:
 
 
 def test_line_is_answered_after_its_stroke() -> None:
+    """The ok comes only when the punch is up again."""
+
     def script(bench: Bench) -> Iterator[Any]:
+        """Send a line; it is not answered while the punch is down."""
         yield from bench.lines("M3")
         bench.rig.link.send(b"G0X0\n")
+        # No motion, but a stroke.
         yield from bench.until(lambda: bench.port.place() == DOWN)
         assert bench.sender.take() == []
         yield from bench.until(lambda: bench.port.place() == UP)
@@ -156,6 +171,7 @@ def test_line_is_answered_after_its_stroke() -> None:
 
 @pytest.mark.parametrize("wiring", range(16))
 def test_each_signal_may_be_inverted(wiring: int) -> None:
+    """$30 to $33 invert the two actuators and two sensors, as each bit of the wiring does."""
     bench = Bench([*_FAST, *(f"${30 + bit}={wiring >> bit & 1}" for bit in range(4))])
     bench.port.wiring = wiring
 
@@ -168,8 +184,11 @@ def test_each_signal_may_be_inverted(wiring: int) -> None:
 
 
 def test_report_shows_the_armed_punch() -> None:
+    """The field A: has an S, as for a spindle that turns."""
+
     def script(bench: Bench) -> Iterator[Any]:
         yield from bench.lines("M3")
+        # The first report has WCO: instead of the accessories (A:).
         yield from bench.say("?", "report")
         assert "|A:S>" in (yield from bench.say("?", "report"))[0]
 
@@ -180,13 +199,19 @@ def test_report_shows_the_armed_punch() -> None:
 
 
 def test_missing_lower_sensor_is_an_alarm_and_the_punch_goes_up() -> None:
+    """The punch hits, but its lower sensor does not respond.
+
+    The wait for it ends between 1 and 1.5 s, in alarm.
+    """
+
     def script(bench: Bench) -> Iterator[Any]:
+        """Make a stroke without the lower sensor; unlock when it works again."""
         yield from bench.lines("M3")
         bench.port.dead = SENSOR_DOWN
         bench.rig.link.send(b"G0X1\n")
         assert (yield from bench.passes(1000)) == []
-        came = yield from bench.passes(500)
-        assert came == [*_NOT_DOWN, "ok", *_BANNER, _LOCKED]
+        output = yield from bench.passes(500)
+        assert output == [*_NOT_DOWN, "ok", *_BANNER, _LOCKED]
         assert bench.port.place() == UP
         assert (yield from bench.say("G0X2\n")) == ["error:9"]
         bench.port.dead = 0
@@ -197,9 +222,12 @@ def test_missing_lower_sensor_is_an_alarm_and_the_punch_goes_up() -> None:
 
 
 def test_blocked_punch_goes_up_again() -> None:
+    """The punch cannot reach its lower end, and the alarm raises it."""
+
     def script(bench: Bench) -> Iterator[Any]:
+        """Make a stroke that ends at 0.7 of its way."""
         yield from bench.lines("M3")
-        bench.port.lowest = 0.7
+        bench.port.lowest = 0.7  # of the stroke: something hard is below
         bench.rig.link.send(b"G0X1\n")
         assert (yield from bench.passes(1500))[:2] == _NOT_DOWN
         assert bench.port.place() == UP
@@ -209,21 +237,28 @@ def test_blocked_punch_goes_up_again() -> None:
 
 @pytest.mark.parametrize("fault", ["dead", "stuck"])
 def test_nothing_moves_without_the_upper_sensor(fault: str) -> None:
+    """The upper sensor fails while the punch is down, or the punch is stuck there.
+
+    Until this is mended, no line or jog moves.
+    """
+
     def script(bench: Bench) -> Iterator[Any]:
+        """Let the fault begin at the lower end; try a line and a jog; mend it, and move."""
         yield from bench.lines("M3")
         bench.rig.link.send(b"G0X1\n")
         yield from bench.until(lambda: bench.port.place() == DOWN)
         setattr(bench.port, fault, SENSOR_UP)
-        came = yield from bench.passes(2500)
-        assert came[:3] == [*_NOT_UP, "ok"] and came.count("ALARM:33") == 2
-        assert came[-3:] == [*_BANNER, _LOCKED]
+        output = yield from bench.passes(2500)
+        # Once for the line, and once more before the welcome.
+        assert output[:3] == [*_NOT_UP, "ok"] and output.count("ALARM:33") == 2
+        assert output[-3:] == [*_BANNER, _LOCKED]
         for line in ("G0X2\n", "$J=X2F100\n"):
             assert (yield from bench.say("$X\n"))[-1] == "ok"
             bench.rig.link.send(line.encode())
-            came = yield from bench.passes(2500)
-            assert came[:3] in (["ok", *_NOT_UP], [*_NOT_UP, "ok"]) and came[-1] == _LOCKED
+            output = yield from bench.passes(2500)
+            assert output[:3] in (["ok", *_NOT_UP], [*_NOT_UP, "ok"]) and output[-1] == _LOCKED
         bench.rig.engine.physical(bench.rig.scratch)
-        assert list(bench.rig.scratch) == [_PER_MM, 0, 0]
+        assert list(bench.rig.scratch) == [_PER_MM, 0, 0]  # X1 of the line with the stroke
         setattr(bench.port, fault, 0)
         yield from bench.say("$X\n")
         yield from bench.lines("G0X2")
@@ -232,6 +267,8 @@ def test_nothing_moves_without_the_upper_sensor(fault: str) -> None:
 
 
 def test_homing_does_not_start_without_the_upper_sensor() -> None:
+    """$22=1 enables homing; the engine must make no start."""
+
     def script(bench: Bench) -> Iterator[Any]:
         yield from bench.lines("$22=1")
         bench.port.dead = SENSOR_UP
@@ -243,14 +280,17 @@ def test_homing_does_not_start_without_the_upper_sensor() -> None:
 
 
 def test_falling_punch_stops_the_machine() -> None:
+    """The punch falls in the middle of motion: steps end at once, and the alarm raises it."""
+
     def script(bench: Bench) -> Iterator[Any]:
+        """Let the punch fall 0.5 s after the start of a line."""
         bench.rig.link.send(b"G1X50F3000\n")
         yield from bench.passes(500)
         assert bench.rig.moving()
-        bench.port.fall()
+        bench.port.fall()  # the upper sensor opens, an interrupt
         assert not bench.rig.moving()
-        came = yield from bench.passes(1000)
-        assert came == ["ALARM:33", _NOT_UP[1], *_BANNER, _LOCKED]
+        output = yield from bench.passes(1000)
+        assert output == ["ALARM:33", _NOT_UP[1], *_BANNER, _LOCKED]
         assert bench.port.place() == UP
 
     play(script)
@@ -260,10 +300,13 @@ def test_falling_punch_stops_the_machine() -> None:
 
 
 def test_punch_down_at_power_up_goes_up_first() -> None:
+    """The punch is up before the welcome is sent."""
     bench = Bench()
     bench.port._position = DOWN
 
     def script() -> Iterator[Any]:
+        """Wait for the first output: the punch is up then."""
+        # The first bytes of the welcome arrive.
         yield from bench.until(lambda: bool(bench.sender.partial()))
         assert bench.port.place() == UP
         yield from bench.say("", "banner")
@@ -273,6 +316,7 @@ def test_punch_down_at_power_up_goes_up_first() -> None:
 
 
 def test_startup_lines_wait_for_the_punch() -> None:
+    """G0X1 is a stored startup line ($N0). It is executed after the punch went up."""
     bench = Bench()
     bench.rig.store.files["startup"] = ["G0X1", ""]
     bench.port._position = DOWN
@@ -284,8 +328,9 @@ def test_startup_lines_wait_for_the_punch() -> None:
 
 
 def test_inverted_sensor_is_an_alarm_at_once() -> None:
+    """The upper sensor is wired inverted, but $33 is 0: the raised punch seems not to be up."""
     bench = Bench()
-    bench.port.wiring = 8
+    bench.port.wiring = 8  # bit 3: the upper sensor
 
     def script() -> Iterator[Any]:
         assert (yield from bench.say("", "banner")) == [*_NOT_UP, *_BANNER, _LOCKED]
@@ -301,17 +346,21 @@ def test_inverted_sensor_is_an_alarm_at_once() -> None:
 
 
 def in_stroke(bench: Bench, place: float = 0.5) -> "Iterator[Any]":
+    """Begin two lines with strokes; wait until the punch is beyond this place (0: up, 1: down)."""
     yield from bench.lines("M3")
     bench.rig.link.send(b"G0X1\nG0X2\n")
     yield from bench.until(lambda: bench.port.place() > place)
 
 
 def test_hold_lets_the_stroke_end() -> None:
+    """! in a stroke: it is completed and its line answered. The next line waits for ~."""
+
     def script(bench: Bench) -> Iterator[Any]:
+        """Send a hold in a stroke, and ~ later."""
         yield from in_stroke(bench)
         bench.rig.link.send(b"!")
-        came = yield from bench.passes(500)
-        assert came == ["ok"] and bench.port.place() == UP
+        output = yield from bench.passes(500)
+        assert output == ["ok"] and bench.port.place() == UP
         assert bench.rig.controller.state.run == st.HOLD
         assert bench.holes() == [(1, 0)]
         bench.rig.link.send(b"~")
@@ -321,37 +370,46 @@ def test_hold_lets_the_stroke_end() -> None:
 
 
 def test_door_interrupts_the_stroke_which_is_made_later() -> None:
+    """A door raises the punch at once. After ~ the stroke is made again."""
+
     def script(bench: Bench) -> Iterator[Any]:
+        """Open the door (0x84) in a stroke, and resume."""
         yield from in_stroke(bench)
-        bench.rig.link.send(b"\x84")
-        came = yield from bench.passes(500)
-        assert came == ["[MSG:Check Door]"] and bench.port.place() == UP
+        bench.rig.link.send(b"\x84")  # door
+        output = yield from bench.passes(500)
+        assert output == ["[MSG:Check Door]"] and bench.port.place() == UP
         assert bench.holes() == []
         bench.rig.link.send(b"~")
-        assert (yield from bench.passes(8000)) == ["ok", "ok"]
+        assert (yield from bench.passes(8000)) == ["ok", "ok"]  # both lines were unanswered
 
     assert play(script).holes() == [(1, 0), (2, 0)]
 
 
 @pytest.mark.parametrize("place", [0.1, 0.5, 0.9])
 def test_reset_raises_the_punch_before_the_welcome(place: float) -> None:
+    """The punch is at `place` when the reset arrives: 0 is up, 1 is down."""
+
     def script(bench: Bench) -> Iterator[Any]:
+        """Reset (0x18) in a stroke; the punch is up when the welcome is received."""
         yield from in_stroke(bench, place)
         bench.rig.link.send(b"\x18")
         yield from bench.until(lambda: b"Grbl" in bench.rig.link.received)
         assert bench.port.place() == UP
-        assert "ALARM:3" not in (yield from bench.say("", "banner"))
+        assert "ALARM:3" not in (yield from bench.say("", "banner"))  # nothing moved
         yield from bench.lines("G0X2")
 
     assert play(script).holes() == []
 
 
 def test_hard_limit_raises_the_punch() -> None:
+    """$21=1 enables hard limits; the switch of X closes in a stroke."""
+
     def script(bench: Bench) -> Iterator[Any]:
+        """Close the limit switch of X in a stroke."""
         yield from in_stroke(bench)
         bench.rig.port.push({"limit_x": True})
-        came = yield from bench.passes(1000)
-        assert came == ["ALARM:1", "[MSG:Reset to continue]"]
+        output = yield from bench.passes(1000)
+        assert output == ["ALARM:1", "[MSG:Reset to continue]"]
         assert bench.port.place() == UP
 
     play(script, [*_FAST, "$21=1"])
@@ -388,22 +446,29 @@ _EVENTS = some.lists(
     some.sampled_from(["sim_punch", "sim_punch_09"]),
 )
 def test_nothing_moves_while_the_punch_is_down(
-    events: "list[tuple[int, str]]", dead: int, dies: int, board: str
+    events: "list[tuple[int, str]]", dead: int, dies_ms: int, board: str
 ) -> None:
+    """A program runs with random events, and with a dead sensor from some ms on.
+
+    Events are real-time bytes and falls of the punch. BrokenLaw is raised if anything moves while
+    it is down.
+    """
+
     def script(bench: Bench) -> Iterator[Any]:
+        """For 9 s send lines and the random events; unlock alarms, and resume holds."""
         rig = bench.rig
         waiting = deque(f"{line}\n".encode() for line in _WORK * 2)
         due = deque(sorted(events))
         start = rig.now
         while rig.now < start + 9000 * rig.ticks_per_ms:
-            past = (rig.now - start) / rig.ticks_per_ms
-            bench.port.dead = dead if past > dies else 0
-            while due and due[0][0] <= past:
-                what = due.popleft()[1]
-                if what == "fall":
+            elapsed_ms = (rig.now - start) / rig.ticks_per_ms
+            bench.port.dead = dead if elapsed_ms > dies_ms else 0
+            while due and due[0][0] <= elapsed_ms:
+                event = due.popleft()[1]
+                if event == "fall":
                     bench.port.fall()
                 else:
-                    rig.link.send(what.encode("latin-1"))
+                    rig.link.send(event.encode("latin-1"))
             state = rig.controller.state.run
             if not due and state & (st.HOLD | st.DOOR):
                 rig.link.send(b"~")
@@ -418,7 +483,10 @@ def test_nothing_moves_while_the_punch_is_down(
 
 
 def test_simulated_machine_detects_motion_with_the_punch_down() -> None:
+    """Without the firmware's hooks, motion starts while the punch is down: this is detected."""
+
     def script(bench: Bench) -> Iterator[Any]:
+        """Remove the punch's hooks, put it down, and send a move."""
         hooks = bench.rig.controller.state.hooks
         hooks.may_start = hooks.started = ()  # the hooks of the punch
         bench.port.dead = SENSOR_UP
@@ -435,6 +503,7 @@ def test_simulated_machine_detects_motion_with_the_punch_down() -> None:
 
 
 def test_board_without_punch_pins_is_refused_with_the_reason() -> None:
+    """Two of the four pins are missing; then the tool is unknown."""
     board = SimpleNamespace(TOOL="punch", PUNCH_UP=3, PUNCH_DOWN=0)
     with pytest.raises(ValueError, match="no pin for PUNCH_DOWN_SENSOR, PUNCH_UP_SENSOR"):
         Options(board)
@@ -443,22 +512,26 @@ def test_board_without_punch_pins_is_refused_with_the_reason() -> None:
 
 
 def test_spindle_settings_are_not_used_for_a_punch() -> None:
+    """A punch has its own file of settings: a spindle's $30 to $33 would invert its signals."""
     bench = Bench()
     bench.rig.store.files["settings"] = ["$30=1000", "$32=1"]
 
     def script() -> Iterator[Any]:
         assert (yield from bench.say("", "banner")) == _BANNER
-        shown = yield from bench.say("$$\n", "ok")
-        assert {"$30=0", "$31=0", "$32=0", "$33=0"} <= set(shown)
+        listed = yield from bench.say("$$\n", "ok")
+        assert {"$30=0", "$31=0", "$32=0", "$33=0"} <= set(listed)
 
     bench.run(script())
 
 
 def test_settings_are_those_of_the_document() -> None:
+    """This board lists settings with descriptions, as Grbl 0.9 does."""
+
     def script(bench: Bench) -> Iterator[Any]:
+        """Invert one signal, and list the settings."""
         assert (yield from bench.say("$30=1\n", "ok")) == ["ok"]
-        shown = yield from bench.say("$$\n", "ok")
-        assert [line for line in shown if line[:2] == "$3" and line[3:4] == "="] == [
+        listed = yield from bench.say("$$\n", "ok")
+        assert [line for line in listed if line[:2] == "$3" and line[3:4] == "="] == [
             "$30=1 (punch actuator down invert, bool)",
             "$31=0 (punch actuator up invert, bool)",
             "$32=0 (punch sensor down invert, bool)",
@@ -478,8 +551,8 @@ def test_settings_are_those_of_the_document() -> None:
 
 
 def expected_holes() -> "list[tuple[float, float]]":
-    """Read the pattern from the program's text, without our code."""
-    place = {"X": 0.0, "Y": 0.0}
+    """Read the pattern from the program's text, without our code; in mm."""
+    position = {"X": 0.0, "Y": 0.0}
     armed = False
     holes = []
     for line in _PROGRAM.read_text().splitlines():
@@ -488,9 +561,9 @@ def expected_holes() -> "list[tuple[float, float]]":
         if re.fullmatch("M[35]", line):
             armed = line == "M3"
         moves = re.findall(r"([XY])(\S+)", line)
-        place.update({axis: float(value) for axis, value in moves})
+        position.update({axis: float(value) for axis, value in moves})
         if moves and armed:
-            holes.append((place["X"], place["Y"]))
+            holes.append((position["X"], position["Y"]))
     return holes
 
 
@@ -502,16 +575,18 @@ def test_generator_makes_the_committed_program() -> None:
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("board", ["sim_punch", "sim_punch_09"])
 def test_demonstration_punches_its_pattern(board: str) -> None:
+    """The holes of a simulated run are those that the text of the program describes."""
     result, recorder = run_program(read_lines(_PROGRAM), board=board)
-    wanted = expected_holes()
+    expected = expected_holes()
     assert not result.errors and not result.stopped
-    assert len(recorder.marks) == len(wanted) == 131
-    for (x, y), mark in zip(wanted, recorder.marks, strict=True):
-        assert math.dist((x, y), mark[:2]) < 0.005
+    assert len(recorder.marks) == len(expected) == 131
+    for (x, y), hole in zip(expected, recorder.marks, strict=True):
+        assert math.dist((x, y), hole[:2]) < 0.005
 
 
 @pytest.mark.thorough
 def test_holes_are_drawn(tmp_path: Path) -> None:
+    """A picture with 131 holes has more than 10 kB."""
     job = run_job("as it is", read_lines(_PROGRAM), [], "sim_punch")
     assert len(job.marks) == 131
     for suffix in (".png", ".html"):

@@ -1,4 +1,7 @@
-"""Test the punch on the ports of real boards: stand-ins for pins, the simulator for pulses."""
+"""Test the punch on the ports of real boards: stand-ins for pins, the simulator for pulses.
+
+M3 arms the punch: each motion then ends with a stroke. Without its sensors, nothing moves.
+"""
 
 from collections.abc import Callable, Iterator
 from types import ModuleType, SimpleNamespace
@@ -14,21 +17,25 @@ from ugrbl.sim.rig import Rig
 
 
 def board() -> ModuleType:
-    made = ModuleType("board")
-    vars(made).update(vars(load_board("sim_punch")), ENABLE=8, STEP=(0, 1, 2))
-    return made
+    """Return the simulator's board with a punch, and the pins that a real port needs."""
+    module = ModuleType("board")
+    vars(module).update(vars(load_board("sim_punch")), ENABLE=8, STEP=(0, 1, 2))
+    return module
 
 
 class Machine(Rig):
-    """A simulated machine with a real board's port."""
+    """A simulated machine with a real board's port, and a punch on stand-ins for its pins."""
 
     def __init__(self, make: "Callable[[ModuleType], Any]", pins: Any) -> None:
-        made = board()
-        super().__init__(made)
-        self.port = make(made)
+        """make: returns the port of a board module. pins: the class of stand-ins for pins."""
+        module = board()
+        super().__init__(module)
+        self.port = make(module)
         self.port.power_off = lambda: None
-        self.punch = Punch(made, pins, lambda: self.now * 1000 // int(self.ticks_per_ms))
+        # Its clock is in us.
+        self.punch = Punch(module, pins, lambda: self.now * 1000 // int(self.ticks_per_ms))
         ticks = SimpleNamespace(ticks_ms=self._ticks_ms, ticks_diff=lambda a, b: a - b)
+        # The port's time is that of the simulator; each reading also moves the punch.
         type(self.port).ticks_ms.__globals__["time"] = ticks
 
     def _ticks_ms(self) -> int:
@@ -39,6 +46,7 @@ class Machine(Rig):
         """Send lines, each after the answer to the one before; return the whole output."""
 
         def script() -> "Iterator[Any]":
+            """Wait for the welcome; send each line after the answer to the one before."""
             self.punch.turn()
             yield lambda: b"Grbl " in self.link.received
             for line in lines:
@@ -53,6 +61,7 @@ class Machine(Rig):
 
 @pytest.fixture(params=["pio", "esp"])
 def rig(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Machine:
+    """Return the machine with the port of RP2 boards (pio), or of the ESP32 (esp)."""
     if request.param == "pio":
         monkeypatch.setattr(gpio, "_is_rp2350", lambda: False)
         monkeypatch.setattr(machine.Pin, "pins", {})
@@ -66,17 +75,19 @@ def rig(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Mach
 
 
 def test_each_motion_ends_with_a_stroke(rig: Machine) -> None:
-    said = rig.talk("$X", "G91 M3", "G0 X1", "G0 X1 Y1", "M5", "G0 X1", "G4 P0")
-    assert "ALARM" not in said and said.endswith(7 * "ok\r\n")
+    """Seven lines have seven answers; the two moves between M3 and M5 make strokes."""
+    output = rig.talk("$X", "G91 M3", "G0 X1", "G0 X1 Y1", "M5", "G0 X1", "G4 P0")
+    assert "ALARM" not in output and output.endswith(7 * "ok\r\n")
     assert rig.punch.strokes == 2
     rig.engine.physical(rig.scratch)
-    assert list(rig.scratch) == [750, 250, 0]
+    assert list(rig.scratch) == [750, 250, 0]  # 3 mm and 1 mm, 250 steps/mm
 
 
 def test_silent_sensor_is_an_alarm(rig: Machine) -> None:
+    """The punch is never moved by its actuators, and its sensors stay off."""
     rig.punch.turn = lambda: None  # type: ignore[method-assign]
-    said = rig.talk("$X", "M3", "G0 X1", until="\n")
-    assert "[MSG:Punch not up]" in said
+    output = rig.talk("$X", "M3", "G0 X1", until="\n")
+    assert "[MSG:Punch not up]" in output
     assert rig.punch.strokes == 0
     rig.engine.physical(rig.scratch)
     assert list(rig.scratch) == [0, 0, 0]

@@ -1,4 +1,7 @@
-"""Test six axes, and rotary ones: meaning of their numbers, rates and ends."""
+"""Test six axes, and rotary ones: meaning of their numbers, rates and ends.
+
+Machine.received is all output; Machine.reported() returns the last reported position.
+"""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -20,7 +23,8 @@ from ugrbl.sim.engine import Switch
 # Many cases: the first ring runs a sample of them.
 pytestmark = pytest.mark.sampled(2)
 
-_PER_MM = 250
+_PER_MM = 250  # steps, also per degree
+# Rates (mm/min) and accelerations (mm/s2) so high that ramps hardly count.
 _SWIFT = {
     **{110 + i: 60000.0 for i in range(6)},
     **{120 + i: 100000.0 for i in range(6)},
@@ -30,10 +34,10 @@ _ANSWERS = ("ok", "error:", "ALARM:", "[MSG:")
 
 def board(axes: int = 4, **options: Any) -> ModuleType:
     """Return the board sim_rotary with this number of axes and other options."""
-    made = ModuleType("board")
-    made.__dict__.update({**vars(load_board("sim_rotary")), "DEFAULTS": {}})
-    made.__dict__.update({"STEP": tuple(range(axes)), **options})
-    return made
+    module = ModuleType("board")
+    module.__dict__.update({**vars(load_board("sim_rotary")), "DEFAULTS": {}})
+    module.__dict__.update({"STEP": tuple(range(axes)), **options})
+    return module
 
 
 def played(
@@ -43,14 +47,14 @@ def played(
     events: "Sequence[tuple[int, str]]" = (),
     **options: Any,
 ) -> Machine:
-    """Return a machine after these lines."""
+    """Return a machine after these lines; events: real-time bytes at their ms."""
     machine = Machine({**_SWIFT, **(settings or {})}, board(axes, **options))
     machine.play(lines, events)
     return machine
 
 
 def seconds(machine: Machine) -> float:
-    """Return the time from the first row to the end of the last."""
+    """Return the time in s from the first row of steps to the end of the last."""
     engine = machine.rig.engine
     first = machine.rows[0][0]
     start, row = machine.rows[-1]
@@ -58,7 +62,7 @@ def seconds(machine: Machine) -> float:
 
 
 def places(machine: Machine) -> "list[float]":
-    """Return the motors' positions in units of 250 steps."""
+    """Return the motors' positions in mm and degrees, 250 steps each."""
     return [steps / _PER_MM for steps in machine.physical()]
 
 
@@ -66,26 +70,30 @@ def places(machine: Machine) -> "list[float]":
 
 
 def test_six_axes_move_by_lines_jogs_arcs_and_stored_places() -> None:
+    """Six linear axes: a move, a helix, a jog and G28; offsets and settings have all axes."""
     lines = ["G0X1Y2Z3A4B5C6", "G28.1", "G2X3I1A5B7C9F500", "$J=G91C-1B-2A-3F900", "G90"]
+    # G28 ends where it began: it was stored at the first target. No axis is rotary.
     machine = played([*lines, "G28", "G92A0", "$#", "$$"], axes=6, ROTARY="")
     assert places(machine) == [1, 2, 3, 4, 5, 6]
     assert machine.reported() == [1, 2, 3, 4, 5, 6]
-    told = machine.received
-    assert "[G28:1.000,2.000,3.000,4.000,5.000,6.000]" in told
-    assert "[G92:0.000,0.000,0.000,4.000,0.000,0.000]" in told
-    assert {f"${n}" for n in range(100, 136) if n % 10 < 6} <= {x.split("=")[0] for x in told}
+    output = machine.received
+    assert "[G28:1.000,2.000,3.000,4.000,5.000,6.000]" in output
+    assert "[G92:0.000,0.000,0.000,4.000,0.000,0.000]" in output
+    # $100 to $105, $110 to $115 and so on: all settings of axes.
+    assert {f"${n}" for n in range(100, 136) if n % 10 < 6} <= {x.split("=")[0] for x in output}
 
 
 @pytest.mark.parametrize("axes", [3, 4, 5, 6])
 def test_letters_of_missing_axes_are_refused(axes: int) -> None:
     lines = [f"G0{letter}1" for letter in "XYZABC"]
-    told = played(lines, axes=axes, ROTARY="").received
-    answers = [x for x in told if x.startswith(_ANSWERS)]
+    output = played(lines, axes=axes, ROTARY="").received
+    answers = [x for x in output if x.startswith(_ANSWERS)]
     assert answers[:6] == ["ok"] * axes + ["error:20"] * (6 - axes)
 
 
 @pytest.mark.parametrize("before", ["", "$C\n"])
 def test_turn_beyond_single_precision_is_an_alarm_also_in_check_mode(before: str) -> None:
+    """39 digits are more than the largest number of single precision, 3.4e38."""
     machine = Machine(_SWIFT, board())
 
     def script() -> Iterator[Any]:
@@ -98,15 +106,18 @@ def test_turn_beyond_single_precision_is_an_alarm_also_in_check_mode(before: str
 
 
 def test_limit_switches_of_six_axes_are_reported_by_letter() -> None:
+    """Pn: lists the closed inputs in status reports."""
     machine = Machine(board=board(6, ROTARY=""))
     names = [f"limit_{letter}" for letter in "xyzabc"]
+    # All are closed at position 0.
     machine.rig.engine.switches += [Switch(name, i, True, 0) for i, name in enumerate(names)]
     machine.rig.port.update()
-    machine.play([])
+    machine.play([])  # ends with a status report
     assert any("|Pn:XYZABC" in line for line in machine.received)
 
 
 def test_one_of_six_axes_is_homed_alone() -> None:
+    """$HC homes C only, at a rate of 3000 and an acceleration of 400."""
     settings = {22: 1, 24: 300, 25: 3000, 26: 5, 27: 1, **{110 + i: 3000.0 for i in range(6)}}
     machine = Machine(
         {**settings, **{120 + i: 400.0 for i in range(6)}},
@@ -114,15 +125,16 @@ def test_one_of_six_axes_is_homed_alone() -> None:
     )
     machine.rig.engine.switches.append(Switch("limit_c", 5, True, 800))
     machine.play(["$HC"])
-    assert machine.reported() == [0, 0, 0, 0, 0, -1]
+    assert machine.reported() == [0, 0, 0, 0, 0, -1]  # $27, the pull-off, is 1
 
 
 # Rotary axes: rates
 
 
 def test_feed_rate_is_that_of_the_linear_axes() -> None:
-    alone = seconds(played(["G1X10F600"]))
-    assert alone == pytest.approx(1, rel=0.01)
+    """10 mm at F600 take 1 s, and a turn of A in the same line does not count."""
+    linear_only_s = seconds(played(["G1X10F600"]))
+    assert linear_only_s == pytest.approx(1, rel=0.01)
     for line in ("G1X10A90F600", "G1X10A-100F600", "G1X6Y8A45F600"):
         assert seconds(played([line])) == pytest.approx(1, rel=0.01), line
 
@@ -134,22 +146,25 @@ def test_feed_rate_is_that_of_the_linear_axes() -> None:
     st.integers(50, 900),
 )
 def test_line_takes_the_time_of_the_standard(
-    way: "list[int]", turn: "list[int]", feed: int
+    fiftieths_mm: "list[int]", fiftieths_deg: "list[int]", feed: int
 ) -> None:
-    x, y, z = (each / 50 for each in way)
-    a, b = (each / 50 for each in turn)
+    """F is the rate along X, Y and Z. If they do not move, it is that of the rotary axes."""
+    x, y, z = (number / 50 for number in fiftieths_mm)
+    a, b = (number / 50 for number in fiftieths_deg)
     length = math.hypot(x, y, z) or math.hypot(a, b)
-    rates = [abs(each) / length for each in (x, y, z, a, b)] if length else [1000.0]
+    rates = [abs(number) / length for number in (x, y, z, a, b)] if length else [1000.0]
+    # Too short to be measured, or faster than the axes allow.
     if length < 1 or max(rates) * feed > 50000:
         return
     line = f"G1X{x}Y{y}Z{z}A{a}B{b}F{feed}"
-    ramps = max(rates) * feed / 60 / _SWIFT[120]  # both together, of the fastest axis
+    ramps_s = max(rates) * feed / 60 / _SWIFT[120]  # both together, of the fastest axis
     assert seconds(played([line], axes=5, ROTARY="AB")) == pytest.approx(
-        length / feed * 60 + ramps, rel=0.01
+        length / feed * 60 + ramps_s, rel=0.01
     )
 
 
 def test_rotary_axis_alone_moves_in_degrees_a_minute_even_in_inches() -> None:
+    """36 degrees at F720 take 3 s. G20 and G21 change neither, wherever F is given."""
     for lines in (
         ["G1A36F720"],
         ["G20", "G1A36F720"],
@@ -165,24 +180,29 @@ def test_rotary_axis_alone_moves_in_degrees_a_minute_even_in_inches() -> None:
 
 
 def test_helix_that_turns_an_axis_takes_the_time_of_its_arc() -> None:
+    """The turn of A, in degrees, does not count."""
     for turn in (0, 90, -300):
         machine = played([f"G2X20I10A{turn}F600"])
+        # A half circle, radius 10 mm, at 10 mm/s.
         assert seconds(machine) == pytest.approx(math.pi * 10 / 10, rel=0.01), turn
         assert places(machine) == [20, 0, 0, turn]
 
 
 def test_inverse_time_is_kept_by_lines_and_arcs() -> None:
+    """G93 F30 is 1/30 min, 2 s."""
     for line in ("G93G1X10A90F30", "G93G1A90F30", "G93G2X20I10A90F30", "G93G2X20I10F30"):
         assert seconds(played([line])) == pytest.approx(2, rel=0.01), line
 
 
 def test_feed_override_applies_to_lines_that_turn() -> None:
+    """Five times -10 %: 40 mm at 300 mm/min take 8 s."""
     machine = played(["G1X40A90F600"], events=[(0, "\x92")] * 5)
     assert seconds(machine) == pytest.approx(8, rel=0.02)
 
 
 def test_lines_after_one_that_turns_have_their_own_rate() -> None:
     machine = played(["G1X10A360F600", "X20", "Y10", "G2X40I10A0", "G1X50"])
+    # Four lines of 10 mm, and a half circle, radius 10 mm, at 10 mm/s.
     assert seconds(machine) == pytest.approx(4 + math.pi, rel=0.01)
 
 
@@ -190,6 +210,7 @@ def test_lines_after_one_that_turns_have_their_own_rate() -> None:
 
 
 def test_degrees_are_never_inches() -> None:
+    """X moves 2 inches, A 180 degrees. $13=1 reports inches, but degrees of A; G54 is 180 - 10."""
     machine = played(["G20", "G0X1A90", "G91", "X1A90", "G90", "G10L20P1A10", "$13=1", "$#", "?"])
     assert places(machine) == [50.8, 0, 0, 180]
     assert machine.reported() == [2, 0, 0, 180]
@@ -197,6 +218,7 @@ def test_degrees_are_never_inches() -> None:
 
 
 def test_offsets_in_reports_in_inches_are_degrees() -> None:
+    # Only some reports have WCO.
     machine = played(["G10L2P1X25.4A90", "$13=1", *["?"] * 40])
     offsets = {line.split("WCO:")[1] for line in machine.received if "WCO:" in line}
     assert any(each.startswith("1.0000,0.0000,0.0000,90.0000") for each in offsets)
@@ -210,12 +232,14 @@ def stopped(line: str, settings: "dict[int, float]") -> "list[str]":
     return played(["$X", line], settings, events=[(5000, "\x18")]).received
 
 
+# Soft limits with a travel of 100 mm; A has none.
 _LIMITED = {20: 1, 22: 1, 130: 100, 131: 100, 132: 100, 133: 0}
 
 
 @pytest.mark.thorough
 def test_axis_without_travel_turns_without_limit_and_others_do_not() -> None:
-    turning = [
+    """A has a travel of 0: none. X, Y and Z are limited also in lines that turn A."""
+    turning_lines = [
         "$X",
         "G0A5000",
         "G1A-5000X-1F60000",
@@ -223,15 +247,15 @@ def test_axis_without_travel_turns_without_limit_and_others_do_not() -> None:
         "G4P0",
         "$J=G90A-7000F60000",
     ]
-    machine = played(turning, _LIMITED)
+    machine = played(turning_lines, _LIMITED)
     assert places(machine) == [-3, 0, 0, -7000]
     assert not any("ALARM" in line or "error" in line for line in machine.received)
-    for line, why in (
+    for line, refusal in (
         ("G0A5X1", "ALARM:2"),
         ("$J=A5X1F100", "error:15"),
         ("G2X8I4A9F900", "ALARM:2"),
     ):
-        assert why in stopped(line, _LIMITED), line
+        assert refusal in stopped(line, _LIMITED), line
 
 
 def test_rotary_axis_with_travel_is_limited() -> None:
@@ -239,6 +263,7 @@ def test_rotary_axis_with_travel_is_limited() -> None:
     assert "ALARM:2" not in stopped("G0A-89", {**_LIMITED, 133: 90})
 
 
+# Homing is enabled; A has no travel ($133).
 _HOMING = {
     22: 1,
     24: 300,
@@ -263,16 +288,22 @@ _HOMING = {
 def test_rotary_axis_is_homed_if_it_has_a_switch(
     limit: "tuple[int | None, ...]", command: str, homed: "list[float]"
 ) -> None:
+    """LIMIT has the pins of the switches, None: no switch.
+
+    With the default () $H leaves A out, but $HA homes it.
+    """
     machine = Machine(_HOMING, board(LIMIT=limit, SINGLE_AXIS_HOMING=True))
     for axis, letter in enumerate("xyza"):
         machine.rig.engine.switches.append(Switch(f"limit_{letter}", axis, True, 800))
     machine.play([command])
     assert machine.reported() == homed
     controller: Any = machine.rig.controller
+    # Homing A needs a travel for its search: it was only set meanwhile.
     assert controller.settings.max_travel[3] == 0
 
 
 def test_failed_homing_leaves_travel_unchanged() -> None:
+    """There is no switch, so the search fails. The travel that it used was set only meanwhile."""
     machine = Machine(_HOMING, board(SINGLE_AXIS_HOMING=True))
     machine.play(["$HA"])
     assert "ALARM:9" in machine.received
@@ -292,6 +323,7 @@ def test_impossible_rotary_axis_is_reported(word: str) -> None:
 def test_board_without_rotary_axes_treats_them_as_millimetres() -> None:
     machine = played(["G20", "G1X1A1F100"], ROTARY="")
     assert places(machine) == [25.4, 0, 0, 25.4]
+    # F100 are 2540 mm/min, along X and A.
     assert seconds(machine) == pytest.approx(math.hypot(25.4, 25.4) / 2540 * 60, rel=0.02)
 
 
@@ -310,19 +342,26 @@ _words = st.tuples(
 def test_kernels_plan_like_the_interpreter(
     drawn: "list[tuple[str, list[str], int, str]]",
 ) -> None:
+    """The fastest code (kernels) and the interpreter generate the same rows of steps.
+
+    After watch(MOVE) the interpreter handles all moves.
+    """
     lines = [
-        word + "".join(f"{letter}{(place + 40 * i) / 10}" for i, letter in enumerate(letters)) + f
-        for word, letters, place, f in drawn
+        word + "".join(f"{letter}{(tenths + 40 * i) / 10}" for i, letter in enumerate(letters)) + f
+        for word, letters, tenths, f in drawn
     ]
     rows = []
-    for shortest in (True, False):
+    for by_kernels in (True, False):
         machine = Machine(_SWIFT, board(5))
-        built = machine.rig.on_built
+        call_built = machine.rig.on_built
 
-        def watch(built: Any = built, rig: Any = machine.rig, shortest: bool = shortest) -> None:
-            if not shortest:
+        def watch(
+            call_built: Any = call_built, rig: Any = machine.rig, by_kernels: bool = by_kernels
+        ) -> None:
+            """Build the machine; without by_kernels the interpreter handles all moves."""
+            if not by_kernels:
                 rig.controller.interpreter.watch(MOVE)
-            built()
+            call_built()
 
         machine.rig.on_built = watch
         machine.play(["G1X-3F500", *lines])
@@ -331,6 +370,7 @@ def test_kernels_plan_like_the_interpreter(
 
 
 def test_run_reports_degrees_and_mm(tmp_path: Path) -> None:
+    """`ugrbl run` reports the travel of A in degrees, and distances of linear axes in mm."""
     file = tmp_path / "turned.nc"
     file.write_text("G1 X10 A90 F600\nA-45\n")
     done = CliRunner().invoke(app, ["run", str(file), "--board", "sim_rotary"])

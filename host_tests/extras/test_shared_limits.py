@@ -1,4 +1,9 @@
-"""Test limit switches of several axes on one input: reports, stops, and homing one by one."""
+"""Test limit switches of several axes on one input: reports, stops, and homing one by one.
+
+LIMIT has the pin of each axis; axes with the same pin share an input. Machine.physical() returns
+the steps of the motors, Machine.reported() the last reported position. Machine.play(lines, events)
+also sends real-time bytes at their ms.
+"""
 
 from types import ModuleType
 from typing import Any
@@ -10,7 +15,7 @@ from ugrbl.boardfile.files import load_board
 from ugrbl.compiling import build
 from ugrbl.sim.engine import Switch
 
-_AT = 800
+_AT = 800  # steps at which switches close; 250 steps are 1 mm
 _SETTINGS = {
     1: 255,
     22: 1,
@@ -20,14 +25,16 @@ _SETTINGS = {
     27: 1,
     **{number + axis: value for number, value in ((110, 3000), (120, 400)) for axis in range(3)},
 }
-_ORDER = ("Z", "X", "Y")
+_ORDER = ("Z", "X", "Y")  # of homing
 
 
 def board(limits: "tuple[int | None, ...]" = (9, 9, 9), **options: Any) -> ModuleType:
-    """Return the simulator's board with its limit switches on these pins."""
-    made = ModuleType("board")
-    made.__dict__.update({**vars(load_board("sim")), "LIMIT": limits, "HOMING": _ORDER, **options})
-    return made
+    """Return the simulator's board with its limit switches on these pins; None: no switch."""
+    module = ModuleType("board")
+    module.__dict__.update(
+        {**vars(load_board("sim")), "LIMIT": limits, "HOMING": _ORDER, **options}
+    )
+    return module
 
 
 def machine(
@@ -36,15 +43,15 @@ def machine(
     at: int = _AT,
     **options: Any,
 ) -> Machine:
-    """Return a machine on this board with a switch for each axis."""
-    made = Machine({**_SETTINGS, **(settings or {})}, board(limits, **options), watched=False)
+    """Return a machine on this board; at: where the switch of each axis closes, in steps."""
+    cnc = Machine({**_SETTINGS, **(settings or {})}, board(limits, **options), watched=False)
     for axis, letter in enumerate("xyz"):
-        made.rig.engine.switches.append(Switch(f"limit_{letter}", axis, True, at))
-    return made
+        cnc.rig.engine.switches.append(Switch(f"limit_{letter}", axis, True, at))
+    return cnc
 
 
 @pytest.mark.parametrize(
-    ("limits", "closed", "told"),
+    ("limits", "closed", "letters"),
     [
         ((9, 9, 9), "x", "XYZ"),
         ((9, 9, 9), "z", "XYZ"),
@@ -56,92 +63,106 @@ def machine(
     ],
 )
 def test_all_axes_of_an_input_are_reported(
-    limits: "tuple[int | None, ...]", closed: str, told: str
+    limits: "tuple[int | None, ...]", closed: str, letters: str
 ) -> None:
-    made = machine(limits=limits)
-    made.rig.port.push({f"limit_{closed}": True})
-    made.play(["?"])
-    reports = [line for line in made.received if line.startswith("<")]
-    assert reports and all(f"|Pn:{told}" in line for line in reports)
-    assert not any(f"|Pn:{told}{more}" in line for line in reports for more in "XYZ")
+    """closed: the axis whose switch closes; letters: the axes in the report."""
+    cnc = machine(limits=limits)
+    cnc.rig.port.push({f"limit_{closed}": True})
+    cnc.play(["?"])
+    reports = [line for line in cnc.received if line.startswith("<")]
+    assert reports and all(f"|Pn:{letters}" in line for line in reports)
+    assert not any(f"|Pn:{letters}{more}" in line for line in reports for more in "XYZ")
 
 
 @pytest.mark.parametrize("limits", [(9, 9, 9), (9, 9, 11), (9, 10, 9), (9, 10, 10)])
 def test_axes_are_homed_one_by_one_to_their_own_switches(
     limits: "tuple[int | None, ...]",
 ) -> None:
-    made = machine(limits=limits)
-    made.play(["$H"])
-    assert made.reported() == [-1, -1, -1]
-    assert made.physical() == pytest.approx([_AT - 250] * 3, abs=10)
+    """All switches close at _AT steps, and _ORDER homes one axis after the other."""
+    cnc = machine(limits=limits)
+    cnc.play(["$H"])
+    assert cnc.reported() == [-1, -1, -1]
+    assert cnc.physical() == pytest.approx([_AT - 250] * 3, abs=10)  # after a pull-off of 1 mm
 
 
 def test_z_may_share_with_an_axis_homed_after_it_in_grbls_order() -> None:
-    made = machine(limits=(9, 10, 9), HOMING=())
-    made.play(["$H"])
-    assert made.reported() == [-1, -1, -1]
-    assert made.physical() == pytest.approx([_AT - 250] * 3, abs=10)
+    """HOMING=() is Grbl's order: Z first, then X and Y together. X and Z share an input."""
+    cnc = machine(limits=(9, 10, 9), HOMING=())
+    cnc.play(["$H"])
+    assert cnc.reported() == [-1, -1, -1]
+    assert cnc.physical() == pytest.approx([_AT - 250] * 3, abs=10)
 
 
 @pytest.mark.parametrize("axis", range(3))
 def test_homing_does_not_start_with_a_closed_switch(axis: int) -> None:
-    made = machine()
-    made.rig.engine.switches[axis] = Switch(f"limit_{'xyz'[axis]}", axis, True, 0)
-    made.rig.port.update()
-    made.play(["$H"], [(1500, "\x18")])
-    assert "[MSG:Move off the closed limit switch first]" in made.received
-    assert "ALARM:1" in made.received
-    assert made.physical() == [0, 0, 0]
+    """With a shared input, a closed switch could be that of any axis."""
+    cnc = machine()
+    # It is closed at the start.
+    cnc.rig.engine.switches[axis] = Switch(f"limit_{'xyz'[axis]}", axis, True, 0)
+    cnc.rig.port.update()
+    cnc.play(["$H"], [(1500, "\x18")])
+    assert "[MSG:Move off the closed limit switch first]" in cnc.received
+    assert "ALARM:1" in cnc.received
+    assert cnc.physical() == [0, 0, 0]
 
 
 def test_cycle_of_two_axes_that_share_is_refused() -> None:
-    made = machine()
-    made.play(["$44=3", "$45=1", "$46=0"])
-    assert made.received.count("error:3") == 1
-    made = machine({44: 0, 45: 0, 46: 0})
-    made.play(["$H"], [(3000, "\x18")])
-    told = "X and Y share a limit input: home them one after the other, by $44 to $49"
-    assert f"[MSG:{told}]" in made.received
-    assert "ALARM:6" in made.received
-    assert made.physical()[:2] == [0, 0]
+    """$44 to $49 are the axes (bits) of each homing cycle.
+
+    A cycle of X and Y (3) is not accepted, nor are none at all, which mean the order of Grbl.
+    """
+    cnc = machine()
+    cnc.play(["$44=3", "$45=1", "$46=0"])
+    assert cnc.received.count("error:3") == 1
+    cnc = machine({44: 0, 45: 0, 46: 0})
+    cnc.play(["$H"], [(3000, "\x18")])
+    reason = "X and Y share a limit input: home them one after the other, by $44 to $49"
+    assert f"[MSG:{reason}]" in cnc.received
+    assert "ALARM:6" in cnc.received
+    assert cnc.physical()[:2] == [0, 0]
 
 
 def test_position_stays_right_after_a_reset_at_any_time_of_homing() -> None:
+    """A reset ends $H after some ms. A second $H then ends as usual, unless a switch is closed."""
     for ms in range(50, 4000, 370):
-        made = machine()
-        before: list[Any] = []
+        cnc = machine()
+        steps_after_reset: list[Any] = []
 
-        def script(made: Machine = made, ms: int = ms, before: Any = before) -> Any:
-            yield from made.start()
-            made.rig.link.send(b"$H\n")
-            yield made.rig.ms(ms)
-            made.rig.link.send(b"\x18")
-            yield from made.rest()
-            before.append(made.physical())
-            if any(steps >= _AT for steps in before[0]):  # it stands on a switch
+        def script(
+            cnc: Machine = cnc, ms: int = ms, steps_after_reset: Any = steps_after_reset
+        ) -> Any:
+            """Reset (0x18) in homing; note the steps; home again unless a switch is closed."""
+            yield from cnc.start()
+            cnc.rig.link.send(b"$H\n")
+            yield cnc.rig.ms(ms)
+            cnc.rig.link.send(b"\x18")
+            yield from cnc.rest()
+            steps_after_reset.append(cnc.physical())
+            if any(steps >= _AT for steps in steps_after_reset[0]):  # it stands on a switch
                 return
-            made.take()
-            yield from made.sender.wait("idle", "$H\n", 1)
-            yield from made.rest()
+            cnc.take()
+            yield from cnc.sender.wait("idle", "$H\n", 1)
+            yield from cnc.rest()
 
-        made.run(script())
-        if all(steps < _AT for steps in before[0]):
-            assert made.reported() == [-1, -1, -1], ms
-            assert made.physical() == pytest.approx([_AT - 250] * 3, abs=10), ms
+        cnc.run(script())
+        if all(steps < _AT for steps in steps_after_reset[0]):
+            assert cnc.reported() == [-1, -1, -1], ms
+            assert cnc.physical() == pytest.approx([_AT - 250] * 3, abs=10), ms
 
 
 @pytest.mark.parametrize("axis", range(3))
 def test_any_of_the_switches_stops_motion(axis: int) -> None:
-    for at in range(300, 2300, 271):
-        made = machine({21: 1, 22: 0}, at=at)
-        made.play([f"G1{'XYZ'[axis]}20F1500", "G4P0.1"], [(4000, "\x18")])
-        assert "ALARM:1" in made.received
-        assert any("|Pn:XYZ" in line for line in made.received if line.startswith("<"))
-        assert made.physical()[axis] == at  # no step after the one that closed it
+    """$21=1 enables hard limits. The report has all axes that share the input."""
+    for switch_at in range(300, 2300, 271):
+        cnc = machine({21: 1, 22: 0}, at=switch_at)
+        cnc.play([f"G1{'XYZ'[axis]}20F1500", "G4P0.1"], [(4000, "\x18")])
+        assert "ALARM:1" in cnc.received
+        assert any("|Pn:XYZ" in line for line in cnc.received if line.startswith("<"))
+        assert cnc.physical()[axis] == switch_at  # no step after the one that closed it
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "expected"),
     [
         (
             {},
@@ -165,17 +186,24 @@ def test_any_of_the_switches_stops_motion(axis: int) -> None:
         ),
     ],
 )
-def test_impossible_homing_is_named_by_board_check(changes: "dict[str, Any]", said: str) -> None:
-    made = ModuleType("board")
+def test_impossible_homing_is_named_by_board_check(
+    changes: "dict[str, Any]", expected: str
+) -> None:
+    """In this board, X and Y share pin 9. An empty text: no problem is found."""
+    module = ModuleType("board")
     base = load_board("rpi_pico")
-    kept = {"FLOOD": None, "SPINDLE_ON": None, "MIST_PIN": None}
-    vars(made).update({**vars(base), **kept, "LIMIT": (9, 9, 11), **changes})
-    found = list(board_check.problems(made))
-    assert any(said in problem for problem in found) if said else found == []
+    free_pins = {"FLOOD": None, "SPINDLE_ON": None, "MIST_PIN": None}
+    vars(module).update({**vars(base), **free_pins, "LIMIT": (9, 9, 11), **changes})
+    found_problems = list(board_check.problems(module))
+    assert (
+        any(expected in problem for problem in found_problems)
+        if expected
+        else found_problems == []
+    )
 
 
 def test_board_with_separate_inputs_has_no_module_for_shared_ones() -> None:
     assert "extras.motors.shared_limits" not in build.modules_of(load_board("rpi_pico"))
-    made = ModuleType("board")
-    vars(made).update({**vars(load_board("rpi_pico")), "LIMIT": (9, 9, 11), "HOMING": _ORDER})
-    assert "extras.motors.shared_limits" in build.modules_of(made)
+    module = ModuleType("board")
+    vars(module).update({**vars(load_board("rpi_pico")), "LIMIT": (9, 9, 11), "HOMING": _ORDER})
+    assert "extras.motors.shared_limits" in build.modules_of(module)

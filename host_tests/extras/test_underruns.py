@@ -1,6 +1,8 @@
 """Test the count of drains: unwanted stops in the middle of a program.
 
 They are reported in $I+ and in status reports.
+
+A drain is a stop because the next line came too late. Moves of 1 mm at 20 mm/s last about 60 ms.
 """
 
 from collections.abc import Iterator
@@ -26,9 +28,10 @@ def drains(lines: "list[str]", pause_ms: float, *, counts: bool = True) -> "list
     rig = Rig(board, factory_store(load_board("sim")))
     sender = Sender(rig)
     sender.allow(3_600_000)
-    said: list[str] = []
+    output: list[str] = []
 
     def script() -> Iterator[Any]:
+        """Send settings and lines with their pauses; then ask for the counts."""
         yield from sender.wait("banner", "")
         for line in _FAST:
             yield from sender.wait("ok", line + "\n")
@@ -36,6 +39,7 @@ def drains(lines: "list[str]", pause_ms: float, *, counts: bool = True) -> "list
             if line == "~":
                 yield rig.ms(500)
                 rig.link.send(b"~")
+            # M0 is answered after the ~ that follows.
             elif line == "M0":
                 rig.link.send(b"M0\n")
             else:
@@ -46,21 +50,22 @@ def drains(lines: "list[str]", pause_ms: float, *, counts: bool = True) -> "list
         sender.take()
         yield from sender.wait("report", "?")
         yield from sender.wait("ok", "$I+\n")
-        said.extend(sender.take())
+        output.extend(sender.take())
 
     rig.run(script())
-    return said
+    return output
 
 
-def count(said: "list[str]") -> int:
+def count(output: "list[str]") -> int:
     """Return the number in the answer to $I+, which the report must have, too."""
-    (told,) = [line for line in said if line.startswith("[MSG:Drains: ")]
-    number = int(told[13:-1])
-    assert (f"|Dr:{number}" in said[0]) == (number > 0)
+    (message,) = [line for line in output if line.startswith("[MSG:Drains: ")]
+    number = int(message[13:-1])  # after "[MSG:Drains: "
+    assert (f"|Dr:{number}" in output[0]) == (number > 0)
     return number
 
 
 def moves(number: int) -> "list[str]":
+    """Return lines of relative moves: this number of 1 mm at 20 mm/s."""
     return ["G91F1200", *["G1X1"] * number]  # of 60 ms each
 
 
@@ -85,6 +90,7 @@ def test_drains_are_counted_when_motors_are_never_released() -> None:
     "word", ["G4P0.05", "M3S100", "M8", "M5", "G10L20P1X0", "M0", "G38.3Y-1F600"]
 )
 def test_word_that_waits_for_motion_to_end_is_no_drain(word: str) -> None:
+    """The planner is empty because of the word, not because lines were late."""
     program = ["G91F1200"]
     for _ in range(4):
         program += ["G1X1", word, *(["~"] if word == "M0" else [])]
@@ -100,5 +106,5 @@ def test_reset_keeps_the_count_but_does_not_add_its_stop() -> None:
 
 
 def test_board_without_the_option_reports_no_drains() -> None:
-    said = drains(moves(6), 300, counts=False)
-    assert not any("Dr" in line for line in said)
+    output = drains(moves(6), 300, counts=False)
+    assert not any("Dr" in line for line in output)

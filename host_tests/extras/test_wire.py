@@ -1,4 +1,8 @@
-"""Test a wire cutter (XYUV): letters, feed rates of the two ends, arcs, homing, refusals."""
+"""Test a wire cutter (XYUV): letters, feed rates of the two ends, arcs, homing, refusals.
+
+A wire cutter moves a wire by its two ends: X and Y, and U and V. Machine.reported() returns the
+last reported position.
+"""
 
 import math
 from types import ModuleType
@@ -13,7 +17,8 @@ from ugrbl.boardfile import board_check
 from ugrbl.boardfile.files import load_board
 from ugrbl.sim.engine import Switch
 
-_PER_MM = 250
+_PER_MM = 250  # steps
+# Rates (mm/min) and accelerations (mm/s2) so high that ramps hardly count.
 _SWIFT = {
     **{110 + i: 60000.0 for i in range(4)},
     **{120 + i: 100000.0 for i in range(4)},
@@ -23,9 +28,9 @@ _MM = st.integers(-400, 400).map(lambda tenths: tenths / 10)
 
 def board(**options: Any) -> ModuleType:
     """Return the board sim_wire with other options."""
-    made = ModuleType("board")
-    made.__dict__.update({**vars(load_board("sim_wire")), **options})
-    return made
+    module = ModuleType("board")
+    module.__dict__.update({**vars(load_board("sim_wire")), **options})
+    return module
 
 
 def played(*lines: str, **options: Any) -> Machine:
@@ -41,7 +46,7 @@ def places(machine: Machine) -> "list[float]":
 
 
 def seconds(machine: Machine) -> float:
-    """Return the time from the first row to the end of the last."""
+    """Return the time in s from the first row of steps to the end of the last."""
     first, (start, row) = machine.rows[0][0], machine.rows[-1]
     return float(start + row[0] - first) / machine.rig.engine.tick_hz
 
@@ -88,10 +93,11 @@ def test_the_end_with_the_longer_way_moves_at_the_feed_rate(line: str, mm: float
 def test_any_line_takes_the_time_of_its_longer_end(
     x: float, y: float, u: float, v: float, feed: int
 ) -> None:
-    longer = max(math.hypot(x, y), math.hypot(u, v))
-    assume(longer > 5)
-    took = seconds(played(f"G1X{x}Y{y}U{u}V{v}F{feed}"))
-    assert took == pytest.approx(longer / feed * 60, rel=0.01)
+    """XY and UV are the two ends of the wire: the one with the longer way has the feed rate."""
+    longer_mm = max(math.hypot(x, y), math.hypot(u, v))
+    assume(longer_mm > 5)
+    duration_s = seconds(played(f"G1X{x}Y{y}U{u}V{v}F{feed}"))
+    assert duration_s == pytest.approx(longer_mm / feed * 60, rel=0.01)
 
 
 @pytest.mark.parametrize("line", ["G93G1X3Y4U6V8F30", "G93G1U1F30"])
@@ -101,6 +107,7 @@ def test_inverse_time_is_the_time_of_the_line(line: str) -> None:
 
 @pytest.mark.parametrize("end", ["", "U5", "U5V5"])
 def test_on_an_arc_x_and_y_move_at_the_feed_rate(end: str) -> None:
+    """A half circle with a radius of 10 mm; U and V, which are straight, do not count."""
     machine = played(f"G2X20I10{end}F1200")
     assert seconds(machine) == pytest.approx(math.pi * 10 / 1200 * 60, rel=0.02)
     assert places(machine)[:2] == [20, 0]
@@ -117,6 +124,7 @@ def homed(**options: Any) -> Machine:
     machine = Machine({**settings, **{120 + i: 400.0 for i in range(4)}}, board(**options))
     switches = machine.rig.engine.switches
     # The simulator names the inputs of motors 2 and 3 as on other machines.
+    # Distances are in steps.
     switches[:] = [
         Switch(f"limit_{name}", i, True, 500 + 250 * i) for i, name in enumerate("xyza")
     ]
