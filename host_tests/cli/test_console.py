@@ -1,4 +1,9 @@
-"""Test `ugrbl console`: lines and keys at the simulator, and the terminal itself."""
+"""Test `ugrbl console`: lines and keys at the simulator, and the terminal itself.
+
+A `Person` is a user at the console with a simulator: desk.enter() types a line, desk.press()
+presses a jog key, desk.poll() processes what has come, `heard` are the lines shown, wait() polls
+until a condition holds. bench.wire(">") are the bytes sent to the machine so far.
+"""
 
 import fcntl
 import os
@@ -36,6 +41,7 @@ class Person:
     """A user at the console, with all output so far."""
 
     def __init__(self, bench: Bench) -> None:
+        """Connect and unlock: the first "ok" in `heard` is the answer to $X."""
         self.connection = Connection(str(bench.port))
         assert self.connection.answers()
         self.heard: list[str] = []
@@ -58,7 +64,7 @@ class Person:
             time.sleep(0.03)
 
     def wait_idle(self) -> list[float]:
-        """Wait for two reports of Idle; return the position."""
+        """Wait for two reports of Idle, both requested from now on; return the position in mm."""
         self.connection.status = ""
         self.wait(lambda: self.connection.state() == "Idle")
         self.connection.status = ""
@@ -75,10 +81,11 @@ def person(bench: Bench) -> Iterator[Person]:
 
 @pytest.mark.sampled(1)
 def test_settings_and_errors_are_shown_with_their_meaning(person: Person) -> None:
+    """The console adds the meaning to settings and errors."""
     person.desk.enter("$$")
     person.wait(lambda: any(line.startswith("$132=") for line in person.heard))
-    (rate,) = [line for line in person.heard if line.startswith("$110=")]
-    assert "Maximum rate X, mm/min" in rate
+    (x_rate_line,) = [line for line in person.heard if line.startswith("$110=")]
+    assert "Maximum rate X, mm/min" in x_rate_line
     person.desk.enter("G64")
     person.wait(lambda: any(line.startswith("error:20: ") for line in person.heard))
 
@@ -91,14 +98,20 @@ def test_many_lines_at_once_do_not_overfill_the_buffer(bench: Bench, person: Per
 
 
 def test_realtime_bytes_are_not_sent_within_lines(bench: Bench, person: Person) -> None:
+    """Ö is two bytes above 0x7F, which Grbl takes as realtime commands.
+
+    It is refused in words, and left out of a comment.
+    """
     person.desk.enter("G0 X1 Ö")
     assert "not sent" in person.heard[-1]
     person.desk.enter("G4 P0 (Ö)")
-    person.wait(lambda: person.heard.count("ok") == 2)
+    person.wait(lambda: person.heard.count("ok") == 2)  # of $X at the start, and of G4
     assert bench.wire(">").isascii()
 
 
 def test_key_press_jogs_one_step_and_keeps_the_modes(person: Person) -> None:
+    """Arrows jog X and Y, Page Up Z. The modes of the program, here G90, stay as they were."""
+    # ] makes the step ten times as large: 10 mm for Z.
     for key in ("right", "up", "]", "pageup"):
         person.desk.press(key)
         person.wait_idle()
@@ -108,11 +121,13 @@ def test_key_press_jogs_one_step_and_keeps_the_modes(person: Person) -> None:
 
 
 def test_held_key_jogs_until_it_is_released(bench: Bench, person: Person) -> None:
+    """A key that repeats for 1 s jogs as long; then a jog cancel is sent."""
     person.hold_key("right", 1.0)
+    # The console sees that the key repeats no more.
     person.wait(lambda: JOG_CANCEL in bench.wire(">"))
-    x = person.wait_idle()[0]
-    assert 3 < x < 12  # a step, and then 500 mm/min while the key was down
-    assert person.wait_idle()[0] == x
+    x_mm = person.wait_idle()[0]
+    assert 3 < x_mm < 12  # a step, and then 500 mm/min while the key was down
+    assert person.wait_idle()[0] == x_mm
     assert person.heard.count("ok") == 1  # to $X: parts of a jog are not shown
 
 
@@ -124,24 +139,27 @@ def test_leaving_the_console_ends_a_jog(bench: Bench, person: Person) -> None:
 
 
 def test_keys_set_zero_hold_resume_and_change_the_feed(bench: Bench, person: Person) -> None:
+    """Each key acts at once, and the console shows what the machine reports."""
     person.desk.press("right")
     person.wait_idle()
-    person.desk.press("x")
+    person.desk.press("x")  # sets X to zero here, at 1 mm
+    # Of $X at the start, and of the line that "x" sends.
     person.wait(lambda: person.heard.count("ok") == 2)
     person.wait(lambda: "|WCO:1.000" in person.connection.status)
     assert "X0.000 Y0.000" in person.desk.status()
     person.desk.enter("G1 X3 F200")
     person.wait(lambda: person.connection.state() == "Run")
-    person.desk.press("+")
+    person.desk.press("+")  # feed +10 %
     person.wait(lambda: "overrides 110,100,100" in person.desk.status())
-    person.desk.press(" ")
+    person.desk.press(" ")  # feed hold
     person.wait(lambda: person.connection.state() == "Hold:0")
     assert "Hold:0: resume (~) or reset (Ctrl-X) it" in person.heard
     person.desk.press("~")
-    assert person.wait_idle()[0] == 4.0
+    assert person.wait_idle()[0] == 4.0  # machine position: 1 mm by the jog, 3 mm by G1
 
 
 def test_reset_discards_waiting_lines(person: Person) -> None:
+    """The first line waits 5 s, so the 40 moves after it are not executed before the reset."""
     person.desk.enter("G4 P5")
     for _ in range(40):
         person.desk.enter("G0 X1")
@@ -152,7 +170,8 @@ def test_reset_discards_waiting_lines(person: Person) -> None:
 
 
 def test_console_can_reset_after_a_limit_switch(bench: Bench, person: Person) -> None:
-    person.desk.enter("$21=1")
+    """After ALARM:1 the machine obeys only a reset, so $X has no effect before it."""
+    person.desk.enter("$21=1")  # hard limits on
     person.desk.enter("G1 X30 F2000")  # the bench's switch is at 20 mm
     person.wait(lambda: any(line.startswith("ALARM:1: ") for line in person.heard))
     person.desk.enter("$X")
@@ -167,8 +186,9 @@ def test_console_can_reset_after_a_limit_switch(bench: Bench, person: Person) ->
 
 
 def test_grbl_0_9_has_no_jogging_and_no_overrides(tmp_path: Path) -> None:
-    old = Bench(tmp_path, "--speed", "max", "--board", "sim_09j")
-    person = Person(old)
+    """At a Grbl 0.9 these keys send nothing; the console says why."""
+    bench_09 = Bench(tmp_path, "--speed", "max", "--board", "sim_09j")
+    person = Person(bench_09)
     for key in ("right", "+"):
         person.desk.press(key)
     person.wait_idle()
@@ -177,8 +197,8 @@ def test_grbl_0_9_has_no_jogging_and_no_overrides(tmp_path: Path) -> None:
         "Grbl 0.9 has no jogging: move it with G-code",
         "Grbl 0.9 has no overrides",
     ]
-    assert old.wire(">").isascii() and b"$J" not in old.wire(">")
-    old.kill()
+    assert bench_09.wire(">").isascii() and b"$J" not in bench_09.wire(">")
+    bench_09.kill()
 
 
 @pytest.mark.sampled(1)
@@ -202,6 +222,7 @@ def test_meanings_are_shown() -> None:
 
 
 def test_terminal_shows_state_lines_and_jogs(bench: Bench, tmp_path: Path) -> None:
+    """The command `ugrbl console` itself runs in a pseudo-terminal of 24 by 80 characters."""
     command = [sys.executable, "-m", "ugrbl.cli", "console", "--port", str(bench.port)]
     environment = as_users(HOME=str(tmp_path), TERM="xterm")
     pid, master = pty.fork()
@@ -211,6 +232,7 @@ def test_terminal_shows_state_lines_and_jogs(bench: Bench, tmp_path: Path) -> No
     text = b""
 
     def wait_until(holds: "Callable[[], bool]") -> None:
+        """Read the screen's bytes into `text` until the condition holds."""
         nonlocal text
         until = time.monotonic() + _PATIENCE_S
         while not holds():
@@ -227,6 +249,7 @@ def test_terminal_shows_state_lines_and_jogs(bench: Bench, tmp_path: Path) -> No
         text = text[text.index(what) + len(what) :]
 
     wait(b"Tab: jog with keys")
+    # Two lines; then Tab for the keys, the right arrow, Tab and Ctrl-D to leave.
     os.write(master, b"$X\r$G\r")
     wait(b"[GC:G0 G54")
     os.write(master, b"\t")
@@ -237,15 +260,16 @@ def test_terminal_shows_state_lines_and_jogs(bench: Bench, tmp_path: Path) -> No
     wait_until(lambda: b"$J=G91 G21 X1.000 F500" in bench.wire(">"))
     os.write(master, b"\t\x04")
     until = time.monotonic() + _PATIENCE_S
-    done = 0
-    while not done and time.monotonic() < until:
+    ended_pid = 0
+    # Its last output must be read, else it cannot end.
+    while not ended_pid and time.monotonic() < until:
         if select.select([master], [], [], 0.1)[0]:
             try:
                 os.read(master, 4096)
             except OSError:  # the other end is closed
                 time.sleep(0.05)
-        done, status = os.waitpid(pid, os.WNOHANG)
+        ended_pid, status = os.waitpid(pid, os.WNOHANG)
     os.close(master)
-    assert done and os.waitstatus_to_exitcode(status) == 0
+    assert ended_pid and os.waitstatus_to_exitcode(status) == 0
     assert b"$J=G91 G21 X1.000 F500" in bench.wire(">")
-    assert "$G" in (tmp_path / ".ugrbl_history").read_text()
+    assert "$G" in (tmp_path / ".ugrbl_history").read_text()  # lines typed are stored

@@ -1,4 +1,12 @@
-"""Test the user's own Python on the desktop: in the simulator, checked, and put on a board."""
+"""Test the user's own Python on the desktop: in the simulator, checked, and put on a board.
+
+ugrbl() runs a command and returns its result; written() writes a file, mine.py by default, and
+returns its name; ran() runs a program with such a file and returns exit code, JSON result and the
+whole result; checked() does the same for `custom check`. Files of a user: VACUUM has M100 P Q,
+which switches the output "vacuum" and reports "vacuum P Q"; CHANGE has a tool change that goes to
+X3 Y39, asks for the tool, and probes down to Z-42; FEEDER has M101, which waits until the input
+"part" closes and opens; FAILING has M102 P, which divides by P - 1.
+"""
 
 import json
 import os
@@ -107,12 +115,14 @@ def test_missing_argument_is_refused_as_on_the_board() -> None:
 
 
 def test_tool_change_runs_with_question_probe_and_drawing() -> None:
-    words = ("--input", "probe=Z-30", "--plot", "change.html")
-    code, found, _ = ran("G21 G90\nG1 X10 F600\nT1 M6\nG1 X20\n", CHANGE, *words)
+    """The handler of T1 M6 runs in the simulator, with a probe that closes at Z-30."""
+    options = ("--input", "probe=Z-30", "--plot", "change.html")
+    code, found, _ = ran("G21 G90\nG1 X10 F600\nT1 M6\nG1 X20\n", CHANGE, *options)
     assert code == 0
+    # Rows of line number and text.
     assert [3, "[MSG:put in tool 1]"] in found["other_output"]
     assert [3, "[MSG:z -30.000]"] in found["other_output"]
-    assert found["pauses"] == [3]
+    assert found["pauses"] == [3]  # the question, answered at once
     assert found["bounds_mm"]["Y"] == [0, 39]  # the moves of the tool change are drawn, too
     assert -31.5 < found["bounds_mm"]["Z"][0] < -30
     assert found["final_position_mm"]["X"] == 20
@@ -120,18 +130,21 @@ def test_tool_change_runs_with_question_probe_and_drawing() -> None:
 
 
 def test_steps_stopped_by_a_probe_are_not_reported_as_lost() -> None:
+    """A probing move makes fewer steps than planned. This is no error, and X has none of it."""
     code, found, done = ran("G21\nT1 M6\nG1 X2 F600\n", CHANGE, "--input", "probe=Z-30")
     assert code == 0 and found["steps_probed"]["X"] == 0 < found["steps_probed"]["Z"]
-    made, planned = found["steps_made"]["Z"], found["steps_planned"]["Z"]
-    assert f"{planned} commanded, {made} made: stopped by the probe" in done.stdout
+    steps_made, steps_planned = found["steps_made"]["Z"], found["steps_planned"]["Z"]
+    assert f"{steps_planned} commanded, {steps_made} made: stopped by the probe" in done.stdout
+    # The table marks lost steps with != and equal numbers with =.
     assert "!=" not in done.stdout and "commanded = " in done.stdout
 
 
 def test_drawing_contains_the_moves_of_handlers() -> None:
+    """`ugrbl plot` draws what the tool change moves: CHANGE goes to Y39."""
     Path("job.nc").write_text("T1 M6\n")
     written(CHANGE)
     words = ("plot", "job.nc", "--custom", "mine.py", "-o", "x.svg", "--json", "x.json")
-    done = ugrbl(*words, "--input", "probe=300ms")
+    done = ugrbl(*words, "--input", "probe=300ms")  # the probe closes 300 ms after it is asked for
     assert done.exit_code == 0, done.output
     (job,) = json.loads(Path("x.json").read_text())["jobs"]
     assert job["final_position_mm"]["Y"] == 39
@@ -200,10 +213,14 @@ BROKEN = {
     "command", ["run job.nc --custom", "custom check", "sim --stdio --custom"]
 )
 def test_unreadable_file_is_one_message_with_file_and_line(command: str, text: str) -> None:
+    """BROKEN has for each faulty text the reason to be shown.
+
+    `custom check` words some reasons in its own way.
+    """
     Path("job.nc").write_text("G0 X1\n")
     done = ugrbl(*command.split(), written(text), stdin="")
     assert done.exit_code == 1
-    said = done.output if command == "custom check" else done.stderr
+    message = done.output if command == "custom check" else done.stderr
     reason = BROKEN[text].replace(
         "is already in use", "is already used" if "check" in command else "is already in use"
     )
@@ -211,8 +228,8 @@ def test_unreadable_file_is_one_message_with_file_and_line(command: str, text: s
         reason = reason.replace("mine.py: ValueError: ", "").replace(
             "ModuleNotFoundError", "no board has a module nothing_of_that_name"
         )
-    assert reason in said and "Traceback" not in done.output
-    assert isinstance(done.exception, SystemExit)
+    assert reason in message and "Traceback" not in done.output
+    assert isinstance(done.exception, SystemExit)  # no other exception
 
 
 WRONG_WORDS = [
@@ -232,6 +249,7 @@ WRONG_WORDS = [
 
 @pytest.mark.parametrize(("words", "said"), WRONG_WORDS)
 def test_wrong_options_are_answered_with_the_right_form(words: str, said: str) -> None:
+    """The files named in the options: a program, an empty folder, and a package."""
     Path("job.nc").write_text("G0 X1\n")
     Path("empty").mkdir()
     written("", "package/__init__.py")
@@ -247,11 +265,17 @@ def test_inputs_have_places_and_sides() -> None:
 
 
 def test_run_leaves_no_files_and_no_modules() -> None:
+    """A run leaves no bytecode.
+
+    In sys.modules it leaves only the user's module and those of the tools.
+    """
     ran("G4 P0\n", CHANGE)  # imports what the firmware and tools need for it
-    before = set(sys.modules)
+    modules_before = set(sys.modules)
     ran("M100 P1\n", VACUUM)
     assert not list(Path().rglob("__pycache__"))
-    assert set(sys.modules) - before <= {"custom"} | {m for m in sys.modules if "ugrbl" in m}
+    assert set(sys.modules) - modules_before <= {"custom"} | {
+        m for m in sys.modules if "ugrbl" in m
+    }
 
 
 @pytest.mark.parametrize("name", ["math.py", "settings.py", "json.py", "ugrbl.py", "a.b c.py"])
@@ -262,16 +286,22 @@ def test_module_name_used_elsewhere_does_not_clash(name: str) -> None:
 
 
 def test_files_of_a_folder_may_import_each_other() -> None:
+    """One file of the folder mine/ imports another, as custom.vacuum.
+
+    Its startup handler switches the vacuum on.
+    """
     written(VACUUM, "mine/vacuum.py")
     written("from ugrbl import on\nfrom custom.vacuum import vacuum\n"
             "@on.startup\ndef start(m):\n    vacuum(m, 1)\n", "mine/begin.py")  # fmt: skip
     Path("job.nc").write_text("G4 P0.1\nM100 P0\n")
     done = ugrbl("run", "job.nc", "--custom", "mine", "--json", "-")
     assert done.exit_code == 0
+    # On at the start, off by M100 P0: rows of line, output, state.
     assert [row[2] for row in json.loads(done.stdout)["switched"]] == [True, False]
 
 
 def test_pins_are_those_of_the_board_file() -> None:
+    """A file may use the outputs that the board names, and no others."""
     board = BOARDS / "rpi_pico.py"
     Path("router.py").write_text(board.read_text() + '\nOUTPUTS = {"suction": 20}\n')
     _, found, done = ran(
@@ -292,26 +322,32 @@ def test_custom_file_in_the_folder_is_not_read_without_the_option() -> None:
 
 
 def test_user_pushes_the_input_that_a_handler_waits_for(tmp_path: Path) -> None:
+    """A user at `ugrbl sim` types the name of an input to close it.
+
+    The simulator reads this from a pipe in place of the keyboard.
+    """
     from test_sim_pty import Sim
 
-    again = '    m.wait_for("part", closed'
-    written(FEEDER.replace(again, f"    m.message('there')\n{again}"))
+    # M101 says "there" between its two waits.
+    second_wait = '    m.wait_for("part", closed'
+    written(FEEDER.replace(second_wait, f"    m.message('there')\n{second_wait}"))
     read, write = os.pipe()
-    stdin = os.dup(0)
+    saved_stdin = os.dup(0)
     os.dup2(read, 0)
     try:
         sim = Sim(tmp_path, "--custom", "mine.py")
     finally:
-        os.dup2(stdin, 0)
+        os.dup2(saved_stdin, 0)
     try:
         with sim.open() as sender:
             sender.wait("Grbl 1.1h")
             sender.send(b"M101\n")
+            # A report shows that M101 has begun.
             sender.send(b"?")
             sender.wait("<")
             os.write(write, b"nonsense\npart\n")
             sender.wait("there")
-            os.write(write, b"part off\n")
+            os.write(write, b"part off\n")  # opens it, so M101 ends
             sender.wait("ok")
     finally:
         said = sim.stop()
@@ -362,11 +398,19 @@ def test_handler_that_refuses_its_line_is_not_a_fault() -> None:
     assert code == 0 and found["tried"][0]["said"] == "refuses its line: not now"
 
 
-@pytest.mark.parametrize("usual", [signal.default_int_handler, signal.SIG_DFL, signal.SIG_IGN])
+@pytest.mark.parametrize(
+    "sigint_action", [signal.default_int_handler, signal.SIG_DFL, signal.SIG_IGN]
+)
 def test_endless_handler_is_reported(
-    usual: "signal.Handlers", monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+    sigint_action: "signal.Handlers",
+    monkeypatch: pytest.MonkeyPatch,
+    request: pytest.FixtureRequest,
 ) -> None:
-    before = signal.signal(signal.SIGINT, usual)
+    """A handler that does not end is stopped after LONGEST_S.
+
+    This holds whatever the process does with SIGINT (Ctrl-C).
+    """
+    before = signal.signal(signal.SIGINT, sigint_action)
     request.addfinalizer(lambda: signal.signal(signal.SIGINT, before))
     monkeypatch.setattr("ugrbl.run.watch.LONGEST_S", 1.0)
     code, found = checked(
@@ -414,6 +458,7 @@ def test_mistakes_are_reported_before_any_handler_runs(text: str, said: str) -> 
 
 
 def test_pins_missing_in_the_board_file_are_reported() -> None:
+    """rpi_pico names no output and no input, and VACUUM and FEEDER use one each."""
     code, found = checked(VACUUM + FEEDER, "--board", "rpi_pico")
     assert code == 1
     assert (
@@ -436,6 +481,7 @@ def test_endless_import_of_a_file_is_stopped(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_print_to_the_senders_answers_is_reported() -> None:
+    """print() writes into the answers to the sender. With a file of its own it is allowed."""
     code, found = checked(VACUUM + "    print('ok')\n")
     assert code == 1
     assert found["problems"] == [
@@ -489,6 +535,7 @@ def test_missing_hardware_does_nothing_and_reads_zero() -> None:
     ],
 )
 def test_modules_only_on_boards_are_reported_as_untried(text: str) -> None:
+    """Such a file cannot be tried on the computer. This is said, but is no fault of the file."""
     code, found = checked(text + VACUUM)
     assert code == 1 and not found["problems"] and not found["tried"]
     assert "boards have it, the simulator does not" in found["untried"][0]
@@ -519,12 +566,16 @@ def test_missing_mpy_cross_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_modules_of_boards_match_the_layer_list() -> None:
-    ours = custom_check.ON_BOARDS.union(*custom_check.ON_ONE_CHIP.values())
+    """The check knows all modules of the boards' MicroPython.
+
+    Those that users do not import are left out.
+    """
+    checked_modules = custom_check.ON_BOARDS.union(*custom_check.ON_ONE_CHIP.values())
     known = set(f"{BUILT_IN} {EXTENSIBLE} {FROZEN}".split())
     not_for_users = (
         "__main__ _boot _boot_fat _webrepl espflash flashbdev inisetup sdcard webrepl_setup"
     )
-    assert ours == known - set(not_for_users.split())
+    assert checked_modules == known - set(not_for_users.split())
 
 
 # On a board
@@ -534,14 +585,16 @@ class FakeShelf:
     """A board at its prompt, as a dict. cut: number of effects done before power is cut."""
 
     def __init__(self, disk: "dict[str, str] | None" = None, cut: int = -1) -> None:
+        """disk: content of its files. cut: -1 for never."""
         self.disk = {path: text.encode() for path, text in (disk or {}).items()}
-        self.told: list[str] = []
-        self.left = cut
+        self.told: list[str] = []  # lines that the machine has sent at its start
+        self.left = cut  # effects left before power is cut; negative: no limit
         self.log: list[str] = []
         self.board: dict[str, Any] = {"CUSTOM": "custom", "OUTPUTS": {"vacuum": 20}, "INPUTS": {}}
-        self.says = ["Custom: M100"]
+        self.says = ["Custom: M100"]  # what the machine will send at its next start
 
     def effect(self, what: str) -> None:
+        """Count one change of the disk; raise DeployError if power is cut before it."""
         if self.left == 0:
             raise DeployError("the connection broke", "")
         self.left -= 1
@@ -562,13 +615,15 @@ class FakeShelf:
         return self.disk[path]
 
     def write(self, path: str, content: bytes, progress: Callable[[int], None]) -> None:
+        """Write a file in two effects, so that power may be cut in the middle."""
         self.effect(f"write {path}")
-        self.disk[path] = content[: len(content) // 2]  # half of it, in case power is cut now
+        self.disk[path] = content[: len(content) // 2]
         self.effect("the other half")
         self.disk[path] = content
         progress(len(content))
 
     def rename(self, pairs: "Iterable[tuple[str, str]]") -> None:
+        """Rename files or folders, one after the other; the new name must be free."""
         for old, new in pairs:
             self.effect(f"rename {old} {new}")
             moved = {p: c for p, c in self.disk.items() if p == old or p.startswith(f"{old}/")}
@@ -624,26 +679,37 @@ def read_at_start(disk: "dict[str, bytes]", folder: Path, monkeypatch: Any) -> "
 def test_push_cut_anywhere_leaves_old_or_new_files_and_the_next_push_succeeds(
     old: "dict[str, str]", new: "dict[str, str]", tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    was, will = ({path: text.encode() for path, text in files.items()} for files in (old, new))
+    """Power is cut after 0, 1, 2, ...
+
+    effects of a push, until one is complete. Each time the firmware must find all old files or all
+    new ones.
+    """
+    old_files, new_files = (
+        {path: text.encode() for path, text in files.items()} for files in (old, new)
+    )
     for cut in range(100):
         shelf = FakeShelf({**old, "board.py": "", "saved/custom.txt": "traceback"}, cut)
         try:
-            custom_files.push(shelf, "custom", will, lambda count: None)
+            custom_files.push(shelf, "custom", new_files, lambda count: None)
         except DeployError:
-            found = read_at_start(shelf.disk, tmp_path / str(cut), monkeypatch)
-            assert found in (was, will), f"cut after {shelf.log}"
-            shelf.left = -1
-            custom_files.push(shelf, "custom", will, lambda count: None)
-            assert shelf.disk == {**will, "board.py": b""}, "no other file is left"
+            files_read = read_at_start(shelf.disk, tmp_path / str(cut), monkeypatch)
+            assert files_read in (old_files, new_files), f"cut after {shelf.log}"
+            shelf.left = -1  # no further cut
+            custom_files.push(shelf, "custom", new_files, lambda count: None)
+            assert shelf.disk == {**new_files, "board.py": b""}, "no other file is left"
         else:
-            assert shelf.disk == {**will, "board.py": b""}
-            assert cut > len(will)
+            assert shelf.disk == {**new_files, "board.py": b""}
+            assert cut > len(new_files)
             return
     raise AssertionError("push never completed")
 
 
 @pytest.mark.parametrize("old", OLD.values(), ids=OLD)
 def test_remove_deletes_file_and_traceback(old: "dict[str, str]") -> None:
+    """The user's files, remains of an interrupted push, and the stored traceback are removed.
+
+    Returns False if there was nothing.
+    """
     shelf = FakeShelf(
         {**old, "custom.py.new": "x", "custom.part/a.py": "x", "saved/custom.old": "t"}
     )
@@ -662,13 +728,15 @@ def test_folder_with_files_that_are_not_python_is_not_replaced() -> None:
 @pytest.fixture
 def shelf(monkeypatch: pytest.MonkeyPatch) -> Iterator[FakeShelf]:
     """Let the commands find this board at every port."""
-    there = FakeShelf({"board.py": ""})
-    monkeypatch.setattr("ugrbl.device.deploy_device.MpremoteDevice", lambda port: there)
-    yield there
-    assert there.log.count("enter") == there.log.count("close")
+    fake_board = FakeShelf({"board.py": ""})
+    monkeypatch.setattr("ugrbl.device.deploy_device.MpremoteDevice", lambda port: fake_board)
+    yield fake_board
+    # Each connection has been closed.
+    assert fake_board.log.count("enter") == fake_board.log.count("close")
 
 
 def test_push_checks_writes_and_reports_the_boards_words(shelf: FakeShelf) -> None:
+    """The file is checked and written, and the machine's first line is shown."""
     done = ugrbl("custom", "push", written(VACUUM), "--port", "x")
     assert done.exit_code == 0, done.output
     assert shelf.disk["custom.py"] == VACUUM.encode()
@@ -677,6 +745,7 @@ def test_push_checks_writes_and_reports_the_boards_words(shelf: FakeShelf) -> No
 
 
 def test_push_of_a_failing_file_does_not_touch_the_board(shelf: FakeShelf) -> None:
+    """FAILING divides by zero in the check, so only --anyway writes it."""
     done = ugrbl("custom", "push", written(FAILING), "--port", "x")
     assert done.exit_code == 1 and shelf.log == []
     assert "--anyway" in done.stderr
@@ -686,6 +755,7 @@ def test_push_of_a_failing_file_does_not_touch_the_board(shelf: FakeShelf) -> No
 
 
 def test_push_anyway_accepts_modules_only_on_boards(shelf: FakeShelf) -> None:
+    """neopixel exists only on boards, so the file cannot be tried, and only --anyway writes it."""
     written("import neopixel\n" + VACUUM)
     done = ugrbl("custom", "push", "mine.py", "--port", "x")
     assert done.exit_code == 1 and "--anyway" in done.stderr and shelf.log == []
@@ -699,6 +769,7 @@ def test_push_anyway_refuses_an_unreadable_file(shelf: FakeShelf) -> None:
 
 
 def test_push_compares_pins_with_the_connected_board(shelf: FakeShelf) -> None:
+    """The board at the port has the output suction, but VACUUM uses vacuum. Nothing is written."""
     shelf.board["OUTPUTS"] = {"suction": 20}
     done = ugrbl("custom", "push", written(VACUUM), "--port", "x")
     assert done.exit_code == 1 and "custom.py" not in shelf.disk
@@ -707,18 +778,19 @@ def test_push_compares_pins_with_the_connected_board(shelf: FakeShelf) -> None:
 
 
 @pytest.mark.parametrize(
-    ("says", "told"),
+    ("says", "message"),
     [
         (["Custom left out: custom.py, line 3: x"], "was not loaded: custom.py, line 3: x"),
         ([], "the firmware there is too old for it"),
     ],
 )
 def test_answer_of_the_board_is_reported_after_a_push(
-    shelf: FakeShelf, says: "list[str]", told: str
+    shelf: FakeShelf, says: "list[str]", message: str
 ) -> None:
+    """The file is written, but the machine's start shows that it is not in use."""
     shelf.says = says
     done = ugrbl("custom", "push", written(VACUUM), "--port", "x")
-    assert done.exit_code == 1 and told in done.stderr
+    assert done.exit_code == 1 and message in done.stderr
 
 
 def test_board_without_custom_module_is_left_unchanged(shelf: FakeShelf) -> None:
@@ -728,6 +800,10 @@ def test_board_without_custom_module_is_left_unchanged(shelf: FakeShelf) -> None
 
 
 def test_push_uses_the_module_name_of_the_board_file(shelf: FakeShelf) -> None:
+    """CUSTOM in the board file names the module.
+
+    With "macros" the file is macros.py, and in a folder modules are macros.a, not custom.a.
+    """
     shelf.board["CUSTOM"] = "macros"
     assert ugrbl("custom", "push", written(VACUUM), "--port", "x").exit_code == 0
     assert "macros.py" in shelf.disk
@@ -738,6 +814,7 @@ def test_push_uses_the_module_name_of_the_board_file(shelf: FakeShelf) -> None:
 
 
 def test_pull_reads_a_file_or_folder_and_replaces_only_with_force(shelf: FakeShelf) -> None:
+    """`pull` copies the user's Python from the board: a file, or a folder if the board has one."""
     assert "has no Python of yours" in ugrbl("custom", "pull", "got.py", "--port", "x").stderr
     shelf.disk["custom.py"] = VACUUM.encode()
     assert ugrbl("custom", "pull", "got.py", "--port", "x").exit_code == 0
@@ -759,18 +836,21 @@ def editor(monkeypatch: pytest.MonkeyPatch, script: str) -> None:
 
 
 def test_edit_pushes_a_changed_file(shelf: FakeShelf, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`edit` opens the file of the board in the user's editor and pushes it if it was changed."""
     shelf.disk["custom.py"] = VACUUM.encode()
     editor(
         monkeypatch, "text = open(file).read().replace('100', '110'); open(file, 'w').write(text)"
     )
     done = ugrbl("custom", "edit", "--port", "x")
     assert done.exit_code == 0, done.output
+    # The editor has changed M100 to M110.
     assert b"mcode(110" in shelf.disk["custom.py"]
 
 
 def test_edit_starts_with_an_example_when_the_board_has_no_file(
     shelf: FakeShelf, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """The example, whose handler is hello(), is what the editor opens; a line is added to it."""
     editor(monkeypatch, "open(file, 'a').write('# mine\\n')")
     assert ugrbl("custom", "edit", "--port", "x").exit_code == 0
     assert b"def hello(m)" in shelf.disk["custom.py"]
@@ -779,8 +859,9 @@ def test_edit_starts_with_an_example_when_the_board_has_no_file(
 def test_edit_without_a_change_pushes_nothing(
     shelf: FakeShelf, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """The editor ends without a change, so the board is not written."""
     shelf.disk["custom.py"] = VACUUM.encode()
-    editor(monkeypatch, "")
+    editor(monkeypatch, "")  # an editor that changes nothing
     done = ugrbl("custom", "edit", "--port", "x")
     assert done.exit_code == 0 and "nothing was changed" in done.stdout
     assert not any(line.startswith("write") for line in shelf.log)
@@ -789,6 +870,7 @@ def test_edit_without_a_change_pushes_nothing(
 def test_editor_that_is_not_a_command_is_reported_with_the_remedy(
     shelf: FakeShelf, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """A single quotation mark cannot be split into the words of a command."""
     monkeypatch.delenv("VISUAL", raising=False)
     monkeypatch.setenv("EDITOR", '"')
     done = ugrbl("custom", "edit", "--port", "x")
@@ -800,15 +882,17 @@ def test_editor_that_is_not_a_command_is_reported_with_the_remedy(
 def test_edited_file_with_a_mistake_is_kept(
     shelf: FakeShelf, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """The board keeps its file, and the edited copy stays on the computer."""
     shelf.disk["custom.py"] = VACUUM.encode()
     editor(monkeypatch, "open(file, 'w').write('def f(:')")
     done = ugrbl("custom", "edit", "--port", "x")
     assert done.exit_code == 1 and shelf.disk["custom.py"] == VACUUM.encode()
-    copy = done.stderr.partition("your edited copy is ")[2].partition(":")[0]
-    assert Path(copy).read_text() == "def f(:"
+    copy_path = done.stderr.partition("your edited copy is ")[2].partition(":")[0]
+    assert Path(copy_path).read_text() == "def f(:"
 
 
 def test_remove_asks_first(shelf: FakeShelf) -> None:
+    """The answer n leaves the file; the answer y removes it."""
     shelf.disk["custom.py"] = b"x"
     assert ugrbl("custom", "remove", "--port", "x", stdin="n\n").exit_code == 1
     assert "custom.py" in shelf.disk
@@ -825,6 +909,7 @@ def test_example_for_newcomers_passes_the_check() -> None:
 
 
 def test_doctor_shows_the_last_traceback_of_a_handler_once(tmp_path: Path) -> None:
+    """A handler's traceback is stored on the board and shown by `ugrbl doctor` as one finding."""
     written(FAILING)
     bench = Bench(tmp_path, "--speed", "max", "--custom", "mine.py")
     try:
@@ -832,7 +917,7 @@ def test_doctor_shows_the_last_traceback_of_a_handler_once(tmp_path: Path) -> No
 
         connection = Connection(str(bench.port))
         assert connection.answers()
-        connection.ask("M102 P1")
+        connection.ask("M102 P1")  # divides by zero
         assert connection.answers()
         connection.ask("$X")
         connection.close()
@@ -844,6 +929,7 @@ def test_doctor_shows_the_last_traceback_of_a_handler_once(tmp_path: Path) -> No
     assert found["text"].startswith("M102 has failed\nTraceback")
     assert 'File "mine.py", line 5, in share' in found["text"]
     assert found["text"].endswith("ZeroDivisionError: float division by zero")
+    # No second finding about the same failure.
     assert not [row for row in findings if row["what"] == "fault"]
 
 
@@ -871,6 +957,10 @@ def test_source_that_is_not_text_is_refused() -> None:
     "name", ["main", "boot", "board", "../x", "my file", "talk", "x.py", "if"]
 )
 def test_module_name_of_another_file_on_the_board_is_refused(name: str, shelf: FakeShelf) -> None:
+    """Such a name in CUSTOM is refused by `build`.
+
+    `push` refuses it, too, if it is on a board already.
+    """
     text = Path(_board_file()).read_text()
     Path("b.py").write_text(f"{text}\nCUSTOM = {name!r}\n")
     done = ugrbl("build", "--board", "b.py", "-o", "made")
@@ -925,6 +1015,10 @@ def _board_file() -> str:
     ],
 )
 def test_input_file_is_not_overwritten(command: str, spared: str) -> None:
+    """An output that names an input of the same command, also by a link, is refused.
+
+    spared: the file that must not change.
+    """
     _board_file()
     for name in ("k.py", "kf/a.py"):
         written(VACUUM, name)
@@ -932,10 +1026,10 @@ def test_input_file_is_not_overwritten(command: str, spared: str) -> None:
         written("G21\n", name)
     written("$110=600\n", "k.set")
     Path("link.py").symlink_to("k.py")
-    before = Path(spared).read_text()
+    text_before = Path(spared).read_text()
     done = ugrbl(*command.split(), stdin="")
     assert done.exit_code == 1 and "is the input file" in done.stderr, done.output
-    assert Path(spared).read_text() == before
+    assert Path(spared).read_text() == text_before
 
 
 def test_result_is_written_into_the_input_folder_and_over_an_older_one() -> None:

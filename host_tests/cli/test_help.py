@@ -29,9 +29,12 @@ def help_of(name: str) -> str:
 
 
 def broken_early(text: str) -> "list[str]":
-    """Return lines of prose that end although the next line's first word would fit."""
-    before, *_ = re.split(r"\n.*(?:Arguments|Options|Examples?)\b.*\n", text)
-    prose = [line.rstrip() for line in before.splitlines()]
+    """Return lines of a help text that end although the first word of the next line would fit.
+
+    Only the prose before the list of arguments or options is looked at.
+    """
+    prose_text, *_ = re.split(r"\n.*(?:Arguments|Options|Examples?)\b.*\n", text)
+    prose = [line.rstrip() for line in prose_text.splitlines()]
     return [
         line
         for line, following in pairwise(prose)

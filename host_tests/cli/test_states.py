@@ -1,4 +1,9 @@
-"""Test send, settings and doctor at a machine that cannot answer, and at a Grbl 0.9."""
+"""Test send, settings and doctor at a machine that cannot answer, and at a Grbl 0.9.
+
+A `Bench` is a simulator at a port of this computer; `ports.find` is the search for controllers.
+ugrbl() runs a command and returns its result. A finding of `doctor` is a row with `what`, `text`
+and `todo` (the remedy).
+"""
 
 import json
 import os
@@ -40,7 +45,7 @@ def old(tmp_path: Path) -> Iterator[Bench]:
 
 
 def put(bench: Bench, state: str, command: bytes) -> None:
-    """Bring the machine into a state."""
+    """Send the command and wait up to 10 s until the machine reports the state."""
     connection = Connection(str(bench.port))
     assert connection.answers()
     connection.write(command)
@@ -56,25 +61,27 @@ def ugrbl(*words: object) -> Result:
 def test_each_command_names_state_and_remedy(
     bench: Bench, tmp_path: Path, state: str, command: bytes, todo: str
 ) -> None:
+    """send, settings and doctor state why the machine cannot answer, and what to do."""
     put(bench, state, command)
     file = tmp_path / "job.nc"
     file.write_text("G0 X1\n")
     sent = ugrbl("send", file, "--port", bench.port)
-    if state == "Check":
+    if state == "Check":  # lines are accepted then
         assert sent.exit_code == 0 and "not checked: the machine is in Check" in sent.output
     else:
         assert sent.exit_code == 1 and state in sent.output and todo in sent.output
-    kept = tmp_path / "kept"
-    pulled = ugrbl("settings", "pull", kept, "--port", bench.port)
-    assert pulled.exit_code == 1 and not kept.exists()
+    settings_file = tmp_path / "kept"
+    pulled = ugrbl("settings", "pull", settings_file, "--port", bench.port)
+    assert pulled.exit_code == 1 and not settings_file.exists()
     assert state in pulled.output and todo in pulled.output
-    seen = ugrbl("doctor", "--port", bench.port, "--json", "-", "--no-move", "--pins", "0")
-    found = {row["what"]: row for row in json.loads(seen.stdout)["findings"]}
-    assert seen.exit_code == 1
-    assert state in found["state"]["text"] and todo in found["state"]["todo"]
+    doctor = ugrbl("doctor", "--port", bench.port, "--json", "-", "--no-move", "--pins", "0")
+    findings = {row["what"]: row for row in json.loads(doctor.stdout)["findings"]}
+    assert doctor.exit_code == 1
+    assert state in findings["state"]["text"] and todo in findings["state"]["todo"]
 
 
 def test_send_doctor_and_settings_understand_grbl_0_9(old: Bench, tmp_path: Path) -> None:
+    """Reports and settings of Grbl 0.9 have another form."""
     file = tmp_path / "job.nc"
     file.write_text("G21 G91 F500\nG1 X1\nY2\n")
     sent = ugrbl("send", file, "--port", old.port)
@@ -87,16 +94,17 @@ def test_send_doctor_and_settings_understand_grbl_0_9(old: Bench, tmp_path: Path
     kept = tmp_path / "kept"
     pulled = ugrbl("settings", "pull", kept, "--port", old.port)
     assert pulled.exit_code == 0 and "$110=500.000" in kept.read_text()
-    seen = ugrbl("doctor", "--port", old.port, "--json", "-", "--move", "--pins", "0")
-    found = {row["what"]: row for row in json.loads(seen.stdout)["findings"]}
-    assert found["state"]["text"] == "Idle" and "0.9" in found["firmware"]["text"]
-    assert "no jogging" in found["move X"]["text"]
+    doctor = ugrbl("doctor", "--port", old.port, "--json", "-", "--move", "--pins", "0")
+    findings = {row["what"]: row for row in json.loads(doctor.stdout)["findings"]}
+    assert findings["state"]["text"] == "Idle" and "0.9" in findings["firmware"]["text"]
+    assert "no jogging" in findings["move X"]["text"]
 
 
 # Files
 
 
 def test_settings_are_written_to_stdout_and_read_from_stdin(bench: Bench) -> None:
+    """The file name `-` is stdout or stdin. Without a terminal to ask at, push needs --yes."""
     pulled = ugrbl("settings", "pull", "-", "--port", bench.port)
     assert pulled.exit_code == 0 and "$110=" in pulled.stdout
     words = ["settings", "push", "-", "--port", str(bench.port)]
@@ -116,6 +124,7 @@ def test_impossible_output_file_is_reported_first(bench: Bench, tmp_path: Path, 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no full disk to test with")
 def test_full_disk_is_reported_in_words(bench: Bench) -> None:
+    """/dev/full refuses every write as a full disk does."""
     done = ugrbl("settings", "pull", "/dev/full", "--force", "--port", bench.port)
     assert (
         done.exit_code == 1
@@ -131,11 +140,12 @@ def test_full_disk_is_reported_in_words(bench: Bench) -> None:
 def test_replaced_file_is_complete_or_unchanged(
     bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """When the new content cannot be written, the old file stays."""
     file = tmp_path / "kept"
     file.write_text("precious")
 
     def full(_: int) -> None:
-        raise OSError(28, "No space left on device")
+        raise OSError(28, "No space left on device")  # ENOSPC
 
     monkeypatch.setattr(os, "fsync", full)
     done = ugrbl("settings", "pull", file, "--force", "--port", bench.port)
@@ -146,11 +156,13 @@ def test_replaced_file_is_complete_or_unchanged(
 
 
 def test_ports_lists_connected_devices(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The list is printed for people or as JSON; without any device the exit code is 1."""
     monkeypatch.setattr(ports, "find", lambda: [ports.Found("/dev/ttyACM0", "a Pico")])
     assert ugrbl("ports").output == "/dev/ttyACM0: a Pico\n"
     assert json.loads(ugrbl("ports", "--json").output) == [
         {"port": "/dev/ttyACM0", "what": "a Pico"}
     ]
+    # list() is empty: no port is found.
     monkeypatch.setattr(ports, "find", list)
     done = ugrbl("ports")
     assert done.exit_code == 1 and "no controller" in done.output
@@ -159,10 +171,12 @@ def test_ports_lists_connected_devices(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_send_finds_the_only_port(
     bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Without --port the only controller that is found is used."""
     monkeypatch.setattr(ports, "find", lambda: [ports.Found(str(bench.port), "a simulator")])
     file = tmp_path / "job.nc"
     file.write_text("G0 X1\n")
     assert ugrbl("send", file).exit_code == 0
+    # list() is empty: no port is found.
     monkeypatch.setattr(ports, "find", list)
     done = ugrbl("send", file)
     assert done.exit_code == 1 and "--port" in done.output

@@ -1,4 +1,9 @@
-"""Test wrong input of a newcomer: each command names cause and remedy, and exits with 1."""
+"""Test wrong input of a newcomer: each command names cause and remedy, and exits with 1.
+
+ugrbl() runs a command in the folder of the test and returns its result. The folder has good.nc,
+photo.nc and photo (both a JPEG file), an empty file `empty` and a folder `folder`. files_in()
+returns all files with their content.
+"""
 
 import json
 import os
@@ -24,7 +29,7 @@ _JPEG = b"\xff\xd8\xff\xe0\x01\x02hello\n"
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Create a newcomer's files."""
+    """Create a newcomer's files in an empty folder, and make it the current one."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "200")
     (tmp_path / "good.nc").write_text(_GOOD)
@@ -91,14 +96,20 @@ WRONG = [
 
 @pytest.mark.parametrize(("words", "why"), WRONG, ids=[words for words, _ in WRONG])
 def test_wrong_input_is_reported_in_words(words: str, why: str, folder: Path) -> None:
+    """Each wrong command exits with 1 and shows the reason `why`.
+
+    No text of Python or of the system is shown.
+    """
     recordings = folder / "recordings"
     if "RECORDINGS" in words:
         recordings.mkdir()
+        # A recorded session without steps.
         case = {"name": "?", "init": "defaults", "setup": [], "steps": [], "tags": []}
         (recordings / "jog.json").write_text(json.dumps([case]))
     (folder / "good.settings").write_text("$110=600\n")
     done = ugrbl(*words.replace("RECORDINGS", str(recordings)).split(), stdin="")
     assert done.exit_code == 1 and isinstance(done.exception, SystemExit), done.output
+    # Compared without blanks, because the output is broken into lines.
     assert "".join(why.split()) in "".join(done.output.split())
     assert "Errno" not in done.output and "Traceback" not in done.output
     assert "compiled" not in done.output and "bytes in all" not in done.output, "before the work"
@@ -106,17 +117,19 @@ def test_wrong_input_is_reported_in_words(words: str, why: str, folder: Path) ->
 
 @pytest.mark.parametrize("command", ["run", "plot", "send"])
 def test_no_text_of_the_system_reaches_a_user(command: str, folder: Path) -> None:
-    (folder / "loop.nc").symlink_to("loop.nc")
-    long = "n" * 300
+    """Each error of opening a file has its own words."""
+    (folder / "loop.nc").symlink_to("loop.nc")  # a link to itself
+    long_name = "n" * 300
     for name, why in (
         ("missing.nc", "there is no such file; is it written right?"),
         ("folder", "it is a folder; name a file"),
         ("good.nc/x", "a folder in its path is a file"),
-        (long, "its name is too long; take a shorter one"),
+        (long_name, "its name is too long; take a shorter one"),
         ("loop.nc", "its links lead round in a circle"),
     ):
         done = ugrbl(command, name, *(("--port", "x") if command == "send" else ()))
         assert done.exit_code == 1 and name in "".join(done.output.split())
+        # Compared without blanks, because the output is broken into lines.
         assert "".join(why.split()) in "".join(done.output.split())
 
 
@@ -135,6 +148,7 @@ def test_no_text_of_the_system_reaches_a_user(command: str, folder: Path) -> Non
 def test_file_that_is_not_text_is_reported_without_pythons_words(
     words: str, data: bytes, folder: Path
 ) -> None:
+    """A file in Latin-1, in UTF-16, or with a picture is refused with the remedy."""
     (folder / "x.py").write_bytes(data)
     done = ugrbl(*words.split())
     said = " ".join(done.output.split())
@@ -145,6 +159,7 @@ def test_file_that_is_not_text_is_reported_without_pythons_words(
 
 @pytest.mark.parametrize("data", [b"hello\n", b"", _JPEG])
 def test_file_that_is_not_a_recording_is_named(data: bytes, folder: Path) -> None:
+    """`conformance` reads all recordings of a folder and names the one that is no JSON."""
     (folder / "recordings").mkdir()
     (folder / "recordings" / "x.json").write_bytes(data)
     done = ugrbl("conformance", "recordings")
@@ -154,6 +169,7 @@ def test_file_that_is_not_a_recording_is_named(data: bytes, folder: Path) -> Non
 
 @pytest.mark.parametrize("command", ["run", "plot"])
 def test_settings_file_with_a_zero_is_accepted_and_reported(command: str, folder: Path) -> None:
+    """$102=0 is noted, because Z then makes no step; $13=0 is an ordinary value."""
     (folder / "zero.settings").write_text("$102=0\n$110=600\n$13=0\n")
     done = ugrbl(command, "good.nc", "--settings", "zero.settings")
     assert done.exit_code == 0
@@ -169,10 +185,15 @@ def test_refused_setting_is_the_only_message(command: str) -> None:
 
 
 def test_check_mode_is_named_when_a_setting_is_refused_because_of_it(folder: Path) -> None:
+    """In check mode settings are refused with error:8.
+
+    The same program runs without error otherwise.
+    """
     (folder / "set.nc").write_text("$110=500\nG1 X1 F300\n")
     done = ugrbl("run", "set.nc", "--check")
     assert done.exit_code == 1 and "error:8: " in done.output
     assert "not in check mode ($C)" in done.output
+    # The summary "0 errors" does not count.
     assert "error" not in ugrbl("run", "set.nc").output.replace("errors", "")
 
 
@@ -187,10 +208,11 @@ def test_check_mode_is_named_when_a_setting_is_refused_because_of_it(folder: Pat
 def test_program_in_another_machines_language_is_named(
     program: str, whose: str, lenient: tuple[str, ...], folder: Path
 ) -> None:
+    """A program for another kind of control is recognized, and the remedy is not --lenient."""
     (folder / "theirs.nc").write_text(program)
-    said = ugrbl("run", "theirs.nc", *lenient).output
-    assert whose in said and "choose Grbl in the program that made it" in said
-    assert "LENIENT" not in said
+    message = ugrbl("run", "theirs.nc", *lenient).output
+    assert whose in message and "choose Grbl in the program that made it" in message
+    assert "LENIENT" not in message
 
 
 def test_only_control_characters_of_paper_tape_count_as_text() -> None:
@@ -211,12 +233,16 @@ def test_very_long_line_is_shown_in_part(folder: Path) -> None:
 def test_program_is_read_from_stdin_and_result_written_to_stdout(
     command: str, folder: Path
 ) -> None:
+    """The file name `-` is stdin or stdout.
+
+    No file of that name is written; a drawing is named stdin.html.
+    """
     done = ugrbl(command, "-", "--json", "-", stdin=_GOOD)
     assert done.exit_code == 0, done.output
     result = json.loads(done.stdout)
     result = result if command == "run" else result["jobs"][0]
     assert result["bounds_mm"]["X"][1] == pytest.approx(1) if command == "run" else result
-    assert "stdin" in done.stderr
+    assert "stdin" in done.stderr  # the report for people, with the name of the input
     assert (folder / "stdin.html").exists() == (command == "plot")
     assert not (folder / "-").exists() and not (folder / "-.html").exists()
 
@@ -228,6 +254,7 @@ def test_page_is_written_to_stdout(folder: Path) -> None:
 
 
 def test_simulator_without_motion_still_draws_and_reports(folder: Path) -> None:
+    """A session without any line ends with an empty drawing and a report of 0 s."""
     command = [sys.executable, "-m", "ugrbl.cli", "sim", "--stdio", "--report", "-"]
     done = subprocess.run(
         [*command, "--plot", "p.html"],
@@ -245,11 +272,15 @@ def test_simulator_without_motion_still_draws_and_reports(folder: Path) -> None:
 
 
 def test_settings_file_with_a_byte_order_mark_is_read_and_updated(folder: Path) -> None:
+    """A file from Windows: with a byte order mark and CR LF.
+
+    The simulator updates $110 and keeps the comment.
+    """
     file = folder / "win.settings"
     file.write_bytes(b"\xef\xbb\xbf$110=1000\r\n$120=50 ; mine\r\n")
     done = ugrbl("run", "good.nc", "--settings", "win.settings", "--json", "-")
     assert done.exit_code == 0, done.output
-    said = subprocess.run(
+    output = subprocess.run(
         [sys.executable, "-m", "ugrbl.cli", "sim", "--stdio", "--settings", "win.settings"],
         input="$110=1200\n$$\n",
         capture_output=True,
@@ -258,13 +289,13 @@ def test_settings_file_with_a_byte_order_mark_is_read_and_updated(folder: Path) 
         env=as_users(COLUMNS="200"),
         check=False,
     ).stdout
-    assert "$110=1200.000" in said and "$120=50.000" in said
+    assert "$110=1200.000" in output and "$120=50.000" in output
     kept = file.read_text(encoding="utf-8-sig")
     assert kept.count("$110=") == 1 and "$110=1200" in kept and "$120=50 ; mine" in kept
 
 
 def writing_to(stdout: int, words: str) -> "subprocess.CompletedProcess[str]":
-    """Run a command in a process of its own, with that descriptor as its output."""
+    """Run a command in its own process. stdout: the file descriptor for its output."""
     return subprocess.run(
         [sys.executable, "-m", "ugrbl.cli", *words.split()],
         stdin=subprocess.DEVNULL,
@@ -280,6 +311,7 @@ def writing_to(stdout: int, words: str) -> "subprocess.CompletedProcess[str]":
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
 @pytest.mark.parametrize("words", ["run good.nc", "plot good.nc", "run good.nc --json -"])
 def test_full_disk_is_reported_in_words(words: str) -> None:
+    """/dev/full refuses every write as a full disk does."""
     with Path("/dev/full").open("w") as full:
         done = writing_to(full.fileno(), words)
     assert done.returncode == 1
@@ -300,9 +332,9 @@ def test_full_disk_is_reported_with_the_file(name: str, folder: Path) -> None:
     ["--help", "--version", "run good.nc", "run good.nc --json -", "plot good.nc -o -", "run -"],
 )
 def test_closed_output_pipe_is_not_reported(words: str) -> None:
-    """The same happens with `| head`."""
+    """A reader that ends early, as in `| head`, is no error to report."""
     read, write = os.pipe()
-    os.close(read)
+    os.close(read)  # so every write fails
     done = writing_to(write, words)
     os.close(write)
     assert done.returncode in (0, 1)
@@ -343,6 +375,10 @@ WRITERS = [
 def test_full_disk_leaves_no_incomplete_file(
     words: str, name: str, is_there: bool, folder: Path
 ) -> None:
+    """An output longer than 100 bytes fails, and an old file of that name stays.
+
+    is_there: whether there is one.
+    """
     if is_there:
         (folder / name).write_text("old")
     before = files_in(folder)
@@ -352,6 +388,7 @@ def test_full_disk_leaves_no_incomplete_file(
 
 
 def test_replaced_file_stays_a_link_and_keeps_its_permissions(folder: Path) -> None:
+    """Writing to a link replaces the content of the file that it names."""
     (folder / "x.json").write_text("old")
     (folder / "x.json").chmod(0o600)
     (folder / "link.json").symlink_to("x.json")
@@ -364,9 +401,12 @@ def test_replaced_file_stays_a_link_and_keeps_its_permissions(folder: Path) -> N
 def test_ctrl_c_is_reported_and_writes_nothing(
     words: str, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Ctrl-C during a command ends it with code 130 and without output files."""
+
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
+    # As if Ctrl-C were pressed when progress is first shown.
     monkeypatch.setattr(screen.Screen, "progress", interrupted)
     before = files_in(folder)
     done = ugrbl(*words.split())
@@ -406,19 +446,25 @@ NOWHERE = [place for place in ("/proc/x", "/sys/x") if Path(place).parent.is_dir
 def test_impossible_output_file_is_reported_before_the_work(
     words: str, place: str, folder: Path
 ) -> None:
+    """The output file is tried first.
+
+    Nothing is computed, and the port /dev/nowhere is not opened.
+    """
     (folder / "locked").mkdir(mode=0o500)
     (folder / "good.py").write_text("from ugrbl import mcode\n")
     (folder / "good.settings").write_text("$110=600\n")
     if place == "locked/x" and os.access("locked", os.W_OK):
         pytest.skip("root can write there")
-    before = files_in(folder)
+    files_before = files_in(folder)
     done = ugrbl(*words.format(place).split())
-    said = " ".join(done.output.split())
+    message = " ".join(done.output.split())
     assert done.exit_code == 1 and isinstance(done.exception, SystemExit), done.output
     why = "cannot be written: |good.nc is no folder|what should be|too long|a folder in its path"
-    assert re.search(why, said), said
-    assert not re.search("no such file|nowhere|Errno|errors|bytes in all|Drawing", said), said
-    assert files_in(folder) == before
+    assert re.search(why, message), message
+    assert not re.search("no such file|nowhere|Errno|errors|bytes in all|Drawing", message), (
+        message
+    )
+    assert files_in(folder) == files_before
 
 
 def test_version_is_reported() -> None:
@@ -428,12 +474,16 @@ def test_version_is_reported() -> None:
 
 
 def test_programs_run_without_terminal_modules_as_on_windows() -> None:
+    """The modules for terminals are missing.
+
+    `run` works without them, and `sim` names --tcp as its way to connect.
+    """
     code = (
         "import sys, serial, serial.rfc2217;"  # Windows has other versions of these
         "sys.modules.update(termios=None, tty=None, pty=None, fcntl=None);"
         "from ugrbl.cli.app import app; app(sys.argv[1:])"
     )
-    for words, code_wanted in (["run", "good.nc"], 0), (["sim"], 1):
+    for words, exit_code in (["run", "good.nc"], 0), (["sim"], 1):
         done = subprocess.run(
             [sys.executable, "-c", code, *words],
             capture_output=True,
@@ -442,7 +492,7 @@ def test_programs_run_without_terminal_modules_as_on_windows() -> None:
             env=as_users(COLUMNS="200"),
             check=False,
         )
-        assert done.returncode == code_wanted, done.stderr
+        assert done.returncode == exit_code, done.stderr
     assert "use --tcp" in done.stderr
 
 

@@ -139,6 +139,7 @@ def test_key_typed_in_console_is_not_shown(board: Board, visit: Callable[..., Vi
 
 
 def test_job_is_run_held_and_ended_from_page(board: Board, visit: Callable[..., Visitor]) -> None:
+    """The page sends a program to the board over the network; Hold and Resume work meanwhile."""
     person = unlocked(board, visit())
     person.types("G92 X0 Y0")
     # 14 lines, the last one to X10 Y1.
@@ -158,6 +159,10 @@ def test_job_is_run_held_and_ended_from_page(board: Board, visit: Callable[..., 
 def test_second_page_watches_and_takes_over_after_first_was_silent(
     board: Board, visit: Callable[..., Visitor]
 ) -> None:
+    """A page takes control only after the other one has sent no line for 5 s.
+
+    STOP works in both.
+    """
     one = unlocked(board, visit())
     two = visit()
     two.page.fill("#notice-key input", board.key)
@@ -178,6 +183,7 @@ def test_second_page_watches_and_takes_over_after_first_was_silent(
 def test_page_reloaded_while_machine_moves_changes_nothing(
     board: Board, visit: Callable[..., Visitor]
 ) -> None:
+    """A move of 20 mm goes on to its end although the page is reloaded twice."""
     person = unlocked(board, visit())
     person.waits("grbl.work.length")
     start_x_mm = person.place()[0]

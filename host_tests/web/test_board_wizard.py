@@ -85,6 +85,7 @@ def give(person: Person, **jobs: int) -> None:
 
 @pytest.mark.sampled(1)
 def test_board_without_board_file_leads_to_choice(set_up):
+    """The setup recognizes the chip and offers boards with it. No machine runs, so STOP is off."""
     person = set_up()
     person.click("#connect")
     person.reads(
@@ -99,6 +100,7 @@ def test_board_without_board_file_leads_to_choice(set_up):
 
 @pytest.mark.parametrize(("installed", "is_other"), [("0.0.9", True), (__version__, False)])
 def test_board_with_another_version_says_how_to_update(set_up, installed, is_other):
+    """The page advises an update if the board has another version of ugrbl than the page."""
     person = set_up(f"frozen {installed}", board=_PICO)
     person.click("#connect")
     person.reads("#setup-found", "with ugrbl and a board file")
@@ -110,6 +112,7 @@ def test_board_with_another_version_says_how_to_update(set_up, installed, is_oth
 
 
 def test_micropython_without_ugrbl_names_file_to_copy(set_up):
+    """The name of the UF2 file and of the drive to copy it to follow the selected board."""
     person = set_up("nothing")
     person.click("#connect")
     # The board is a Pico; its name is proposed first.
@@ -140,6 +143,7 @@ def test_running_machine_continues_and_its_board_file_is_read(set_up):
 
 
 def test_moving_machine_is_not_interrupted(set_up):
+    """A board file is read at the prompt, which would end a motion, so the page refuses."""
     person = set_up(board=_PICO)
     person.bridge.machine.power_up()  # starts the machine before the page connects
     person.click("#connect")
@@ -154,6 +158,7 @@ def test_moving_machine_is_not_interrupted(set_up):
 
 
 def test_silent_board_is_reported(set_up):
+    """The board answers neither as a machine nor at the prompt."""
     person = set_up()
     person.bridge.machine.write = lambda data: None  # the board receives nothing
     person.click("#connect")
@@ -197,6 +202,10 @@ def test_empty_board_becomes_machine_with_own_pins(set_up):
 
 
 def test_fault_is_shown_at_once_in_words_of_board_check(set_up):
+    """The page finds the faults that the check in Python finds.
+
+    A board with a fault cannot be sent.
+    """
     person = set_up()
     step(person, "board")
     person.page.select_option("#board-chip", "esp32")
@@ -245,6 +254,7 @@ def test_second_motor_of_axis_has_own_pins(set_up):
 
 
 def test_entries_are_kept_when_page_is_reloaded(set_up):
+    """The unfinished board is stored in the browser."""
     person = set_up()
     step(person, "board")
     person.click("text=My own")
@@ -306,6 +316,7 @@ def test_fault_is_shown_with_its_line(editor, text, line, words):
 
 
 def test_file_damaged_on_its_way_does_not_replace_old_file(editor):
+    """The bytes received are compared with those sent before the new file replaces the old one."""
     editor.bridge.machine.damage = (
         b"\\x58"  # lost on the wire: an X, as the sending script escapes it
     )

@@ -14,6 +14,8 @@ machine's end of the wire: lines() and `sent` are what the page has sent, say() 
 page, `hears = False` lets the machine receive nothing, report() asks the machine itself for
 (state, position, feed), and unplug() cuts the wire. sent_at_once() returns the realtime bytes sent
 except `?` (! hold, ~ resume, 0x18 reset, 0x85 jog cancel).
+
+FAR is a program that runs round a rectangle of 40 by 20 mm for some seconds.
 """
 
 import re
@@ -65,6 +67,7 @@ def _page_uri():
 
 
 def test_machine_that_does_not_answer_is_reported(person_at):
+    """The port opens, but no answer comes: the page says so and offers no jog."""
     person = person_at()
     person.machine.hears = False
     person.open_from_disk()
@@ -75,6 +78,10 @@ def test_machine_that_does_not_answer_is_reported(person_at):
 
 
 def test_unplugging_in_job_is_reported_and_reconnecting_works(person):
+    """The cable is pulled during a job.
+
+    The machine executes what it has received, and Connect opens the port again.
+    """
     # A program of some seconds.
     person.loads(FAR.replace("F600", "F1200"))
     person.click("#run")
@@ -92,6 +99,7 @@ def test_unplugging_in_job_is_reported_and_reconnecting_works(person):
 
 
 def test_disconnecting_shows_no_warning(person):
+    """Only a connection that is lost, not one that is closed on purpose, gives a warning."""
     person.click("#disconnect")
     person.sees("Not connected")
     assert not person.page.query_selector("#notice-lost")
@@ -103,6 +111,7 @@ def test_disconnecting_shows_no_warning(person):
 
 
 def test_console_has_history_and_explains_answers(person):
+    """Errors are shown with their meaning; the arrow keys recall earlier lines."""
     person.types("G1 X5")
     person.reads("#log", "error:22: The feed rate has not been set")
     person.types("M5")
@@ -129,6 +138,7 @@ def test_markup_is_shown_as_text(person):
 
 
 def test_setting_is_changed_and_stored(person):
+    """A value typed in the settings is sent. The page then shows what the machine has stored."""
     person.click("#tabs [data-tab=settings]")
     person.page.fill("[aria-label^='$110 Maximum rate X']", "2500")
     person.page.keyboard.press("Enter")
@@ -137,6 +147,10 @@ def test_setting_is_changed_and_stored(person):
 
 
 def test_refused_setting_is_shown_in_its_row_and_keeps_typed_text(person):
+    """The machine refuses $0=1 and $20=1.
+
+    The reasons stand in their rows until a value is accepted.
+    """
     person.click("#tabs [data-tab=settings]")
     person.page.fill("[aria-label^='$0 ']", "1")  # 1 µs is too short
     person.page.keyboard.press("Enter")
@@ -154,6 +168,7 @@ def test_refused_setting_is_shown_in_its_row_and_keeps_typed_text(person):
 
 
 def test_switch_is_checkbox_and_mask_is_checkbox_per_axis(person):
+    """$5 is on or off; $3 and $10 are bit masks, shown as one checkbox for each bit."""
     person.click("#tabs [data-tab=settings]")
     person.page.check("[aria-label='$5 Invert limit pins']")
     person.reads("#setting-5", "1 is kept")
@@ -196,6 +211,7 @@ def test_setting_typed_in_console_is_shown_at_once(person):
 
 
 def test_settings_of_extras_have_meaning_unit_and_limits(person):
+    """The names of settings depend on which other settings the machine has."""
     # As if the machine had these settings of extras, such as a laser, a gantry and jerk limits.
     person.machine.say(b"$33=5000\r\n$170=-0.500\r\n$143=800.000\r\n$802=0.000\r\nok\r\n")
     person.click("#tabs [data-tab=settings]")
@@ -234,6 +250,10 @@ def test_nothing_is_queried_while_setting_is_written(person):
 
 
 def test_settings_are_saved_compared_and_restored(person):
+    """A backup is saved.
+
+    A file that differs in one setting is compared with the machine and restored.
+    """
     person.click("#tabs [data-tab=settings]")
     with person.page.expect_download() as download:
         person.click("#backup")
@@ -345,6 +365,7 @@ def test_program_is_previewed_at_its_position_and_again_after_zero_moves(person_
 
 
 def test_reports_in_inches_are_previewed_in_millimetres(person_at):
+    """Offsets and feed are reported in inches and sent to the preview in mm."""
     person = person_at({13: "1"})  # $13=1: the machine reports in inches
     person.bridge.look = {"seconds": 1.0, "problems": [], "lines": 1, "times": [], "path": []}
     person.open_served()
@@ -360,6 +381,7 @@ def test_reports_in_inches_are_previewed_in_millimetres(person_at):
 
 
 def test_second_page_watches_until_it_takes_over(person_at):
+    """A page that does not control the machine only shows it; after taking control it jogs."""
     person = person_at()
     # The server does not let this page control the machine at first.
     person.bridge.drives = False
@@ -384,6 +406,7 @@ def test_second_page_watches_until_it_takes_over(person_at):
 
 
 def test_stop_on_watching_page_takes_over_first(person_at):
+    """STOP on a watching page takes control and then sends the reset."""
     person = person_at()
     # The server does not let this page control the machine at first.
     person.bridge.drives = False
@@ -395,6 +418,7 @@ def test_stop_on_watching_page_takes_over_first(person_at):
 
 
 def test_lost_server_is_reported_and_reconnected(person_at):
+    """A page from a server connects again by itself."""
     person = person_at()
     person.open_served()
     person.sees("Idle")
@@ -503,6 +527,7 @@ _BOXES = """(names) => Object.fromEntries(names.map((name) =>
 
 
 def test_buttons_are_large_enough_for_finger(person):
+    """Every visible button is at least 40 px high."""
     small = person.page.evaluate(
         "[...document.querySelectorAll('button')].filter((button) => button.offsetParent)"
         ".filter((button) => button.offsetHeight < 40).map((button) => button.outerHTML)"
@@ -511,6 +536,7 @@ def test_buttons_are_large_enough_for_finger(person):
 
 
 def test_every_field_and_button_has_name(person):
+    """A control needs a text, a label or an aria-label."""
     nameless = person.page.evaluate(
         "[...document.querySelectorAll('main button, main input, header button')].filter("
         "(element) => !element.textContent && !element.labels?.length && !element.ariaLabel)"

@@ -64,6 +64,7 @@ _FOCUSED = """() => {
 
 @pytest.mark.parametrize("tab", TABS)
 def test_tab_key_reaches_every_control_and_shows_where_it_is(person, tab):
+    """Tab is pressed until each control has had the focus; each must then have an outline."""
     person.click(f"#tabs [data-tab={tab}]")
     person.pauses(0.3)
     wanted_names = person.page.evaluate(_USABLE)

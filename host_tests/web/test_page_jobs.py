@@ -10,6 +10,8 @@ the wire: lines() and `sent` are what the page has sent, say() sends bytes to th
 False` lets the machine receive nothing, report() asks the machine itself for (state, position,
 feed), and unplug() cuts the wire. sent_at_once() returns the realtime bytes sent except `?` (!
 hold, ~ resume, 0x18 reset, 0x85 jog cancel).
+
+FAR is a program that runs round a rectangle of 40 by 20 mm for some seconds.
 """
 
 import pytest
@@ -23,6 +25,7 @@ pytestmark = [pytest.mark.xdist_group("page jobs"), pytest.mark.thorough]
 
 
 def test_job_with_hold_and_override_ends_at_its_end_point(person):
+    """Hold, Resume and a feed override do not change where a job ends."""
     person.loads("G21 G90\nG1 X20 F600\nG2 X0 Y0 R10\nG1 Z-3\nG1 X12.5 Y5\nM2\n")
     person.click("#run")
     person.sees("Run")
@@ -102,6 +105,7 @@ def test_file_that_is_no_program_is_refused_with_reason(person, name, content, w
 
 
 def test_comment_in_other_encoding_is_accepted(person):
+    """A file in Latin-1, with a letter that is no UTF-8, is run."""
     (person.folder / "old.nc").write_bytes("G0 X1 (f\u00fcr)\n".encode("latin-1"))
     person.page.set_input_files("#job-file", str(person.folder / "old.nc"))
     person.reads("#job-name", "old.nc")
@@ -110,6 +114,7 @@ def test_comment_in_other_encoding_is_accepted(person):
 
 
 def test_ended_job_keeps_position(person):
+    """End stops a job without an alarm, so the position stays valid."""
     person.loads(FAR)
     person.click("#run")
     person.sees("Run")
@@ -174,6 +179,7 @@ def test_realtime_character_in_code_is_not_sent(person):
 
 
 def test_thousands_of_lines_stream_without_stalling(person_at):
+    """3000 short moves are sent to a simulator that runs as fast as it can; each is sent once."""
     person = person_at(None, "--speed", "max")
     person.open_from_disk()
     person.connect()
@@ -189,6 +195,7 @@ def test_thousands_of_lines_stream_without_stalling(person_at):
 
 
 def test_check_mode_checks_program_without_motion(person):
+    """The page switches Grbl's check mode ($C) on, sends the program, and switches it off."""
     person.loads("G21 G90\nG1 X20 F600\nG999\nG1 X5\n")
     person.click("#check")
     person.reads("#problems", "Line 3 error:20")
@@ -237,6 +244,7 @@ def test_start_from_line_lists_its_first_moves_and_asks(person):
     ],
 )
 def test_line_that_cannot_be_start_is_refused_with_reason(person, program, line, words):
+    """A program cannot be continued at a line whose state before is not known for certain."""
     person.loads(program)
     person.page.fill("#from", str(line))
     person.click("#run")
@@ -267,6 +275,7 @@ PART = "G21 G91\n\n; done? not yet!\n(ok)\nG1 X3 F1200\nG1 X-1\n"
 
 
 def test_program_is_sent_to_board_opened_run_and_deleted(keeper):
+    """A program is stored on the board and used there: opened in the page, run, deleted."""
     program_text = PART + "".join(f"(line {n} {'x' * (n % 50)})\n" for n in range(200))
     keeper.loads(program_text, "my part.nc")
     keeper.click("#board-files")
@@ -290,6 +299,7 @@ def test_program_is_sent_to_board_opened_run_and_deleted(keeper):
 
 
 def test_job_of_board_is_shown_with_progress(keeper):
+    """The page shows a program that the board runs by itself, and STOP ends it."""
     (keeper.folder / "jobs").mkdir(exist_ok=True)
     (keeper.folder / "jobs" / "LONG.NC").write_text("G21 G91 F600\n" + "G1 X1\nG1 X-1\n" * 20)
     keeper.click("#board-files")

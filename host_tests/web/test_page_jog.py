@@ -36,6 +36,7 @@ def test_diagonal_tap_steps_both_axes(person):
 
 
 def test_held_diagonal_moves_both_axes_equally_and_stops_on_release(person):
+    """A held diagonal button moves at the set feed along the path until it is released."""
     person.page.fill("#jog-feed", "1200")
     person.press("[data-jog='X+Y-']")
     person.waits("grbl.machine[0] > 4")
@@ -56,6 +57,10 @@ def test_held_diagonal_moves_both_axes_equally_and_stops_on_release(person):
 
 
 def test_held_diagonal_ends_at_first_soft_limit(homer):
+    """Y has only 10 mm of travel, so it ends the diagonal jog.
+
+    X stops with it, without an alarm.
+    """
     homer.homes()
     homer.types("$20=1")  # soft limits on
     homer.types("$131=10")  # Y travels from 0 to -10 mm
@@ -90,6 +95,7 @@ def test_two_arrow_keys_jog_diagonally_until_one_is_released(person):
 
 
 def test_z_has_its_own_step_and_feed(person):
+    """Step and feed of Z apply to its buttons and to `Go to Z0`, those of X and Y to theirs."""
     person.page.select_option("#z-step", "0.1")
     person.page.fill("#z-feed", "60")
     person.click("#steps >> text='10'")  # mm, of X and Y
@@ -130,6 +136,7 @@ def drags_tool(person, x_mm, y_mm):
 
 
 def test_machine_follows_dragged_tool_and_stays_there(person):
+    """The machine jogs to where the tool is dragged, and follows again when it is dragged on."""
     person.page.fill("#jog-feed", "2400")
     person.click("#drag")
     drags_tool(person, 12, 9)
@@ -150,6 +157,7 @@ def test_machine_follows_dragged_tool_and_stays_there(person):
 
 
 def test_release_of_dragged_tool_stops_jog(person):
+    """Released early, the tool stops by a jog cancel, short of the target 40 mm away."""
     person.page.fill("#jog-feed", "600")
     person.click("#drag")
     drags_tool(person, 40, 0)
@@ -181,6 +189,7 @@ def test_jog_to_dragged_tool_stops_by_itself_when_page_sends_no_more(person):
 
 
 def test_stop_ends_dragged_jog(person):
+    """STOP resets the machine during a drag; moving on sends no further jog."""
     person.page.fill("#jog-feed", "600")
     person.click("#drag")
     drags_tool(person, 40, 0)
@@ -215,6 +224,7 @@ def test_drawing_is_panned_without_motion_until_dragging_is_switched_on(person):
 
 
 def test_dragged_point_stays_within_soft_limits(homer):
+    """A target outside the travel is moved to its edge: X stays, Y goes 5 mm."""
     homer.homes()
     homer.types("$20=1")  # soft limits on
     homer.types("$$")

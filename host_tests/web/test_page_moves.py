@@ -12,6 +12,8 @@ say() sends bytes to the page, `hears = False` lets the machine receive nothing,
 machine itself for (state, position, feed), and unplug() cuts the wire. sent_at_once() returns the
 realtime bytes sent except `?` (! hold, ~ resume, 0x18 reset, 0x85 jog cancel). `said` are the
 bytes that the machine has sent.
+
+FAR is a program that runs round a rectangle of 40 by 20 mm for some seconds.
 """
 
 import pytest
@@ -44,6 +46,10 @@ def test_homing_ends_at_pull_off(homer):
 
 
 def test_reset_in_motion_ends_in_explained_alarm(person):
+    """Escape is STOP: a reset.
+
+    In motion it ends in ALARM:3, which the page explains until unlocked.
+    """
     person.loads(FAR)
     person.click("#run")
     person.sees("Run")
@@ -99,6 +105,7 @@ def test_stop_works_while_button_is_still_down(person):
 
 
 def test_escape_in_field_stops_nothing(person):
+    """While a text is typed Escape belongs to the field, so it is no STOP."""
     person.click("#tabs [data-tab=console]")
     person.page.focus("#line")
     person.page.keyboard.press("Escape")
@@ -231,6 +238,7 @@ def test_refused_held_jog_is_reported_once(homer):
 
 @pytest.mark.parametrize("event", ["blur", "pagehide"])
 def test_leaving_page_stops_jog(person, event):
+    """A held jog ends when the window loses the focus or the page is left."""
     person.press("[data-jog='X+']")
     person.sees("Jog")
     # The page loses the focus, or is left.
@@ -247,6 +255,7 @@ def test_lost_pointer_stops_jog(person):
 
 
 def test_arrow_keys_jog_only_when_enabled(person):
+    """Arrow keys jog after #keys is switched on: a tap by one step, held until released."""
     person.page.keyboard.press("ArrowRight")
     person.pauses(0.3)
     assert not [line for line in person.machine.lines() if line.startswith("$J")]
@@ -271,6 +280,7 @@ def test_cancel_before_jog_has_begun_is_repeated(person):
 
 
 def test_jog_ends_before_soft_limits(homer):
+    """A held jog towards the end of the travel stops there without an alarm or an error."""
     homer.homes()
     homer.types("$20=1")
     homer.types("$$")
@@ -286,6 +296,7 @@ def test_jog_ends_before_soft_limits(homer):
 
 
 def test_zero_is_set_and_returned_to(person):
+    """Work zero is set at X10; jogging away and `go to zero` returns there."""
     person.page.fill("#jog-feed", "3000")
     person.click("#steps >> text='10'")
     person.click("[data-jog='X+']")
@@ -303,6 +314,7 @@ def test_zero_is_set_and_returned_to(person):
 
 
 def test_reports_in_inches_are_shown_and_jogged_in_inches(person_at):
+    """With $13=1 the page shows inches, and its steps are inches, too."""
     person = person_at({13: "1"})  # $13=1: the machine reports in inches
     person.open_from_disk()
     person.connect()

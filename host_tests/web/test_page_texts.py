@@ -50,6 +50,11 @@ def test_every_text_has_a_translation_and_none_is_unused(code: str) -> None:
 
 @pytest.mark.parametrize("code", TABLES)
 def test_translations_keep_values_numbers_names_and_spaces(code: str) -> None:
+    """What is no language stays.
+
+    Placeholders, settings, error numbers and option names occur in a translation as often as in
+    the text.
+    """
     for text, translation in TABLES[code].items():
         if text == page_texts.NAME:  # the entry with the language's own name
             continue

@@ -48,6 +48,7 @@ def test_outline_goes_round_cuts_with_tool_up(person):
 
 
 def test_nothing_moves_when_outline_is_declined(person):
+    """The outline asks before it moves."""
     person.loads(_JOB)
     person.click("#outline")
     person.click("#dialog-no")
@@ -56,6 +57,7 @@ def test_nothing_moves_when_outline_is_declined(person):
 
 
 def test_laser_outline_runs_at_1_percent_and_ends_off(person_at):
+    """A laser draws the outline at 1 % of its power, and is off at the end."""
     person = person_at({32: "1", 30: "1000"})  # $32=1: laser mode; S1000 is full power
     person.open_from_disk()
     person.connect()
@@ -74,6 +76,7 @@ def test_laser_outline_runs_at_1_percent_and_ends_off(person_at):
 
 
 def test_coordinate_system_is_chosen_and_typed(person):
+    """An offset typed for G55 is stored, and `Use G55` selects it; the machine does not move."""
     person.click("#tabs [data-tab=offsets]")
     person.page.fill("[aria-label='G55 X']", "12.5")
     person.page.keyboard.press("Enter")
@@ -98,6 +101,7 @@ def test_typed_offset_is_in_displayed_units(person):
 
 
 def test_macro_asks_for_numbers_and_runs_line_by_line(person):
+    """A macro is made in the page; it asks for {depth} at each run, and survives a reload."""
     person.click("#macros-edit")
     person.click("#macro-add")
     person.page.fill("[aria-label='Name of macro 1']", "Down")
@@ -133,6 +137,7 @@ def test_macro_ends_at_refused_line(person, tmp_path):
 
 
 def test_file_without_macros_changes_nothing(person, tmp_path):
+    """A JSON file of another form is refused with its name."""
     file = tmp_path / "no.json"
     file.write_text('{"name": 1}')
     person.click("#macros-edit")
@@ -145,6 +150,7 @@ def test_file_without_macros_changes_nothing(person, tmp_path):
 
 
 def test_settings_are_grouped_and_found_by_words(person):
+    """A search shows only rows that have the words, and hides groups without any."""
     person.click("#tabs [data-tab=settings]")
     person.reads("#settings", "Limits and homing")
     person.page.fill("#settings-find", "accel")
@@ -156,6 +162,7 @@ def test_settings_are_grouped_and_found_by_words(person):
 
 
 def test_settings_that_differ_from_defaults_are_found_and_reset(person):
+    """A filter shows the settings that differ from their defaults; a button resets one of them."""
     person.click("#tabs [data-tab=settings]")
     person.reads("#setting-110", "Default: 500")
     person.page.check("#settings-changed")

@@ -114,6 +114,7 @@ def work_zero(person: Person) -> "list[float]":
 
 @pytest.mark.parametrize(("side", "axis", "edge_mm"), [("left", 0, 8), ("front", 1, 6)])
 def test_edge_accounts_for_tool_and_plate(prober_at, side, axis, edge_mm):
+    """Zero is set at the edge itself: half the tool and the plate are subtracted."""
     # The block's left front corner: one side is at `edge_mm`, the other one 20 mm away.
     prober = prober_at({"block": [8, -20] if axis == 0 else [-20, 6]})
     choose(prober, "Edge")
@@ -127,6 +128,7 @@ def test_edge_accounts_for_tool_and_plate(prober_at, side, axis, edge_mm):
 
 
 def test_corner_is_found_from_two_sides(prober_at):
+    """Both sides of the corner are probed; X and Y are zero at the corner."""
     prober = prober_at({"block": [5, -4]})  # mm, its left front corner
     choose(prober, "Corner")
     for name, value in (("tool", "2"), ("plate", "0"), ("far", "12"), ("feed", "900")):
@@ -139,6 +141,7 @@ def test_corner_is_found_from_two_sides(prober_at):
 
 
 def test_centre_of_hole_is_found_and_approached(prober_at):
+    """Four points of a hole are probed; the tool then stands at its centre, the new work zero."""
     prober = prober_at({"hole": [3, -2, 8]})  # mm: centre and radius
     choose(prober, "Hole")
     prober.page.fill("#probe-feed", "900")
@@ -149,6 +152,7 @@ def test_centre_of_hole_is_found_and_approached(prober_at):
 
 
 def test_probe_without_contact_says_what_to_do(prober):
+    """The search is too short for contact, which ends in ALARM:5; no offset (G10) is set."""
     choose(prober, "Plate")
     prober.page.fill("#probe-far", "2")  # mm, but the work is 4 mm away
     prober.page.fill("#probe-feed", "400")
@@ -159,6 +163,7 @@ def test_probe_without_contact_says_what_to_do(prober):
 
 
 def test_triggered_probe_moves_nothing(prober):
+    """A probe that is closed at the start cannot find anything, so no probing (G38) is sent."""
     prober.types("G0 Z-5")  # mm: into the work at -4, so the probe is closed
     prober.waits("grbl.pins.includes('P')")
     choose(prober, "Plate")

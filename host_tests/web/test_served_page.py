@@ -213,6 +213,10 @@ def test_travel_violation_is_shown_before_run(visit: Visit) -> None:
 
 
 def test_second_browser_watches_until_it_takes_over(visit: Visit) -> None:
+    """A phone shows the motion of the first browser, then takes control and jogs.
+
+    The first browser watches then.
+    """
     first = free(visit())
     first.homes()
     phone = visit(viewport=PHONE, color_scheme="dark", has_touch=True, is_mobile=True)

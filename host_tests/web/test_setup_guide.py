@@ -83,6 +83,7 @@ def test_machine_with_wrong_pitch_and_swapped_motor_is_corrected(mechanic):
 
 
 def test_guide_continues_where_it_was_left(mechanic):
+    """After a reload the tasks done are still ticked, and the next one is open."""
     mechanic.sets_up_motor(0)  # X, so that Y comes next
     mechanic.reads("#guide-tasks [aria-pressed=true]", "Motor Y")
     mechanic.page.reload()
@@ -94,6 +95,7 @@ def test_guide_continues_where_it_was_left(mechanic):
 
 
 def test_homing_in_wrong_direction_is_stopped_and_reversed(mechanic):
+    """A person stops a homing that goes away from the switch; the machine stands still at once."""
     for axis in range(3):
         mechanic.sets_up_motor(axis)
     mechanic.task("Homing")
@@ -116,6 +118,7 @@ def test_homing_in_wrong_direction_is_stopped_and_reversed(mechanic):
 
 
 def test_switches_are_shown_while_pressed(mechanic):
+    """The guide shows a pressed switch and ticks it; inverting the inputs is one click."""
     mechanic.task("Switches")
     # A single report with the switch of X pressed; the next reports show it released.
     mechanic.machine.say(b"<Idle|MPos:0.000,0.000,0.000|FS:0,0|Pn:XP>\r\n")

@@ -45,6 +45,10 @@ def programs_lines(person):
 
 
 def test_page_pauses_where_machine_refuses_m6_and_goes_on_after_confirmation(person):
+    """The page waits at T2 M6 with spindle and coolant off.
+
+    After confirmation it restores the modes and the job goes on to its end.
+    """
     pauses_at_change(person)
     person.rests_at(20, 4, 5)
     person.reads("#tool-title", "Tool change: tool 2")

@@ -1,4 +1,8 @@
-"""Test the command `ugrbl web` in its own process."""
+"""Test the command `ugrbl web` in its own process.
+
+`web` starts the command: `running.address` is what it has printed, children() are its child
+processes. refused() returns the error message of a command that fails.
+"""
 
 import json
 import signal
@@ -22,6 +26,7 @@ Start = Callable[..., Web]
 
 @pytest.fixture
 def web() -> Iterator[Start]:
+    """Return a function that starts the server with these words of the command line."""
     running: "list[Web]" = []
 
     def start(*words: str, **environment: str) -> Web:
@@ -34,6 +39,7 @@ def web() -> Iterator[Start]:
 
 
 def wait_until_gone(number: int) -> None:
+    """Wait until a process has ended. number: its process id."""
     until = time.monotonic() + PATIENCE_S
     while Path(f"/proc/{number}/cmdline").exists():
         if not Path(f"/proc/{number}/cmdline").read_bytes():
@@ -42,12 +48,13 @@ def wait_until_gone(number: int) -> None:
         time.sleep(0.05)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_signal_ends_server_and_its_simulator(number: int, web: Start) -> None:
+@pytest.mark.parametrize("signal_number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_signal_ends_server_and_its_simulator(signal_number: int, web: Start) -> None:
+    """Each of these signals ends the server without an error message. Its simulator ends, too."""
     running = web("--sim", "--no-browser")
     assert running.said.startswith("sim is at http://127.0.0.1:")
     (simulator,) = running.children()
-    assert running.stop(number) == ""
+    assert running.stop(signal_number) == ""  # no further output
     assert running.process.returncode == 0
     wait_until_gone(simulator)
 
@@ -61,6 +68,7 @@ def test_simulator_ends_when_server_is_killed(web: Start) -> None:
 
 @pytest.mark.sampled(1)
 def test_network_address_is_printed_with_token(web: Start) -> None:
+    """Open to the network, the server requires a token; the address it prints contains it."""
     running = web("--sim", "--no-browser", "--host", "0.0.0.0")
     bare, _, token = running.address.partition("?token=")
     assert len(token) >= 20 and "0.0.0.0" not in bare
@@ -71,28 +79,34 @@ def test_network_address_is_printed_with_token(web: Start) -> None:
 
 
 def test_browser_is_opened(tmp_path: Path, web: Start) -> None:
-    seen = tmp_path / "seen"
+    """The server opens the program named in $BROWSER.
+
+    Here it is a script that writes down the address.
+    """
+    seen_file = tmp_path / "seen"
     browser = tmp_path / "browser"
-    browser.write_text(f'#!/bin/sh\necho "$1" > {seen}.new && mv {seen}.new {seen}\n')
+    browser.write_text(
+        f'#!/bin/sh\necho "$1" > {seen_file}.new && mv {seen_file}.new {seen_file}\n'
+    )
     browser.chmod(0o755)
     running = web("--sim", BROWSER=str(browser))
     until = time.monotonic() + PATIENCE_S
-    while not seen.exists():
+    while not seen_file.exists():
         assert time.monotonic() < until, "no browser"
         time.sleep(0.05)
-    assert seen.read_text().strip() == running.address
+    assert seen_file.read_text().strip() == running.address
 
 
 def test_simulator_stores_settings_in_file(tmp_path: Path, web: Start) -> None:
-    """The file is read at the start; previews use the same board."""
+    """A settings file is read at the start and kept. Previews use the same board."""
     file = tmp_path / "mill.settings"
     file.write_text("$110=3000\n")
     running = web("--sim", "--no-browser", "--settings", str(file), "--board", "sim_xyza")
     program = json.dumps({"program": "G21\nG0 A5\n"}).encode()
     request = urllib.request.Request(f"{running.address}api/look", program)
     with urllib.request.urlopen(request, timeout=PATIENCE_S) as got:
-        found: Any = json.load(got)
-    assert found["problems"] == [], "that board has an axis A"
+        preview: Any = json.load(got)
+    assert preview["problems"] == [], "that board has an axis A"
     assert file.read_text().startswith("$110=3000\n")
 
 
@@ -113,11 +127,12 @@ def refused(*words: str) -> str:
 
 
 def test_address_in_use_is_reported() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-        said = refused("--sim", "--http", str(port))
-    assert f"cannot listen at 127.0.0.1:{port}: another program" in said
-    assert "--http" in said
+    """The message names the cause and the option to choose another port."""
+    with socket.create_server(("127.0.0.1", 0)) as other_server:  # 0: any free port
+        port = other_server.getsockname()[1]
+        message = refused("--sim", "--http", str(port))
+    assert f"cannot listen at 127.0.0.1:{port}: another program" in message
+    assert "--http" in message
 
 
 @pytest.mark.parametrize(
@@ -138,10 +153,12 @@ def test_unusable_options_are_refused_with_reason(words: str, why: str, tmp_path
 
 
 def test_missing_board_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without any controller the message names --sim."""
     from typer.testing import CliRunner
     from ugrbl.cli import ports
     from ugrbl.cli.app import app
 
+    # list() is empty: no port is found.
     monkeypatch.setattr(ports, "find", list)
     done = CliRunner().invoke(app, ["web", "--no-browser", "--http", "0"])
     assert done.exit_code == 1
@@ -149,9 +166,11 @@ def test_missing_board_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_page_is_saved_for_browser_without_server(tmp_path: Path) -> None:
+    """`ugrbl web --save` writes the page to a file that can be opened from disk."""
     file = tmp_path / "ugrbl.html"
     command = [sys.executable, "-m", "ugrbl.cli", "web", "--save", str(file)]
     done = subprocess.run(command, env=as_users(), capture_output=True, text=True, check=True)
     assert f"written: {file}" in done.stdout
     text = file.read_text(encoding="utf-8")
+    # The whole page: no part is left to insert.
     assert "<!-- part" not in text and "class Prompt" in text

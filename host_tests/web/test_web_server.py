@@ -1,4 +1,12 @@
-"""Test `ugrbl web`: several browsers at one board, of which one controls it."""
+"""Test `ugrbl web`: several browsers at one board, of which one controls it.
+
+site.open() connects a browser. send() sends bytes to the board, drive(True) takes control,
+told(...) waits until the server has reported these values (driver: whether this client controls;
+drivers and watchers: how many there are), wait(text) and ask(line) return what the board has
+answered, leave() closes, vanish() breaks the connection as in a crash, go_deaf() stops reading. A
+`FakeBoard` records its input in `got`; say() is its output, and `stuck = True` lets it accept
+nothing. `site.log` are the lines of the server's log.
+"""
 
 import asyncio
 import json
@@ -33,6 +41,7 @@ def board() -> FakeBoard:
 
 @played
 async def test_all_clients_receive_and_controlling_client_sends(tmp_path: Path) -> None:
+    """The first client controls the machine. What the machine sends reaches all clients."""
     async with served(Simulator("sim"), tmp_path) as site:
         first, second = await site.open(), await site.open()
         await first.told(link={"name": "sim", "open": True}, driver=True, drivers=1, watchers=1)
@@ -45,28 +54,34 @@ async def test_all_clients_receive_and_controlling_client_sends(tmp_path: Path) 
 
 @played
 async def test_bytes_of_watcher_are_dropped(board: FakeBoard, tmp_path: Path) -> None:
+    """What a client sends before it controls the machine never reaches the board."""
     async with served(board, tmp_path) as site:
-        first, second = await site.open(), await site.open()
-        await second.send(b"G0 X5\n!\x18\x85")
-        await second.drive(True)  # sent after the bytes, so those have been read
-        await second.told(driver=True)
-        await second.send(b"$G\n")
+        driver, watcher = await site.open(), await site.open()
+        await watcher.send(b"G0 X5\n!\x18\x85")
+        await watcher.drive(True)  # sent after the bytes, so those have been read
+        await watcher.told(driver=True)
+        await watcher.send(b"$G\n")
         await board.wait_for(b"$G\n")
         assert board.got == b"$G\n"
-        assert first.states[-1]["driver"] is False
+        assert driver.states[-1]["driver"] is False
 
 
 @played
 async def test_watcher_may_only_query_when_no_client_controls(
     board: FakeBoard, tmp_path: Path
 ) -> None:
+    """While no client controls, any client may send single `?`, and nothing else.
+
+    While one does, not even these.
+    """
     async with served(board, tmp_path) as site:
         first, second = await site.open(), await site.open()
-        await first.drive(False)
+        await first.drive(False)  # gives up control
         await second.told(drivers=0)
         for data in (b"?", b"$G\n", b"!", b"?!", b"\x18", b"?"):
             await second.send(data)
         await second.send(b"?")
+        # Of six messages and one more, the three that are just `?` have passed.
         await board.wait_for(b"???")
         await first.drive(True)
         await first.told(driver=True)
@@ -79,16 +94,21 @@ async def test_watcher_may_only_query_when_no_client_controls(
 
 @played
 async def test_every_byte_of_board_arrives_unchanged(board: FakeBoard, tmp_path: Path) -> None:
+    """All 256 byte values, 100 times, reach the browser."""
     async with served(board, tmp_path) as site:
         page = await site.open()
-        said = bytes(range(256)) * 100
-        board.say(said)
-        await until(lambda: len(page.text) == len(said), "all of it")
-        assert page.text.encode("latin-1") == said
+        output = bytes(range(256)) * 100
+        board.say(output)
+        await until(lambda: len(page.text) == len(output), "all of it")
+        assert page.text.encode("latin-1") == output
 
 
 @pytest.mark.sampled(1)
 def test_lines_go_whole_and_realtime_bytes_overtake_them() -> None:
+    """Framing cuts a stream into whole lines and realtime bytes.
+
+    A byte marked True does not wait for the end of its line.
+    """
     framing = Framing()
     assert list(framing.take(b"G1 X")) == []
     assert list(framing.take(b"1?0!\r\n$G\nG9")) == [
@@ -103,6 +123,7 @@ def test_lines_go_whole_and_realtime_bytes_overtake_them() -> None:
         (b"G91\n", False),
         (b"\x85", True),
     ]
+    # Drops the line that has begun.
     framing.forget()
     ((line, _),) = framing.take(b"(" + b"x" * 10_000 + b"\n")
     assert len(line) <= 4097, "far more than any Grbl takes, so it is refused all the same"
@@ -110,13 +131,15 @@ def test_lines_go_whole_and_realtime_bytes_overtake_them() -> None:
 
 @played
 async def test_only_protocol_bytes_reach_board(board: FakeBoard, tmp_path: Path) -> None:
+    """Control characters are removed. Ctrl-C above all would interrupt the board's Python."""
     async with served(board, tmp_path) as site:
         page = await site.open()
         await page.send(b"\x03\x03\x03\r\x01\x04\x02")
         await page.send(bytes(range(0x20)) + b"G1\x03\x7f X1\n\x03" + b"\x03" * 9 + b"\n$G\n")
         await board.wait_for(b"$G\n")
-        got = set(board.got)
-        assert got <= {*b"\t\n\r\x18", *range(0x20, 0x7F)}, sorted(got)
+        received = set(board.got)
+        # Tab, line end, reset, and printable ASCII.
+        assert received <= {*b"\t\n\r\x18", *range(0x20, 0x7F)}, sorted(received)
         assert b"G1 X1\n" in board.got
 
 
@@ -124,6 +147,10 @@ async def test_only_protocol_bytes_reach_board(board: FakeBoard, tmp_path: Path)
 async def test_stop_overtakes_lines_that_board_has_not_read(
     board: FakeBoard, tmp_path: Path
 ) -> None:
+    """Hold and reset pass the lines that wait for the board.
+
+    The reset also discards these lines.
+    """
     async with served(board, tmp_path) as site:
         page = await site.open()
         board.stuck = True
@@ -144,6 +171,10 @@ async def test_stop_overtakes_lines_that_board_has_not_read(
 async def test_client_that_takes_over_controls_and_other_watches(
     board: FakeBoard, tmp_path: Path
 ) -> None:
+    """After a takeover only the new client's bytes reach the board.
+
+    Half a line of the client before is dropped.
+    """
     async with served(board, tmp_path) as site:
         first, second = await site.open(), await site.open()
         await first.send(b"G91\nG1 X1")
@@ -151,7 +182,7 @@ async def test_client_that_takes_over_controls_and_other_watches(
         await second.drive(True)
         await first.told(driver=False, drivers=1, watchers=1)
         await second.told(driver=True, drivers=1, watchers=1)
-        await first.send(b"0\n!")
+        await first.send(b"0\n!")  # ignored: it only watches now
         await second.send(b"$G\n")
         await board.wait_for(b"$G\n")
         assert board.got == b"G91\n$G\n", "nor is half a line of the other's before it"
@@ -159,21 +190,28 @@ async def test_client_that_takes_over_controls_and_other_watches(
         for page in (first, second):
             await page.told(driver=False, drivers=0, watchers=2)
         third = await site.open()
+        # Nobody was in control, so a new client is.
         await third.told(driver=True, drivers=1, watchers=2)
 
 
 @played
 async def test_client_may_send_bytes_as_text(board: FakeBoard, tmp_path: Path) -> None:
+    """A text message is taken as bytes.
+
+    A character that is no byte, here the minus sign, is dropped.
+    """
     async with served(board, tmp_path) as site:
         sender = await site.open()
         await sender.socket.send_str("G91 (− is no byte)\n\x85?")
         await board.wait_for(b"?")
+        # Sorted, because realtime bytes overtake the line.
         assert sorted(board.got) == sorted(b"G91 ( is no byte)\n\x85?")
 
 
 @pytest.mark.parametrize("words", ['{"drive": 0}', "{}", "{", '{"job": 1}', '{"job": {}}'])
 @played
 async def test_unknown_messages_are_ignored(words: str, board: FakeBoard, tmp_path: Path) -> None:
+    """Such a message is logged, and control stays where it was."""
     async with served(board, tmp_path) as site:
         first, second = await site.open(), await site.open()
         await second.socket.send_str(words)
@@ -188,31 +226,38 @@ LOSSES = ["closed", "crashed", "gave up", "server ended"]
 
 @pytest.mark.parametrize("how", LOSSES)
 @pytest.mark.parametrize(
-    ("state", "told"),
+    ("state", "stop_bytes"),
     [("Run", b"!"), ("Jog", b"\x85"), ("Idle", b""), ("Hold:0", b""), ("Alarm", b"")],
 )
 @played
 async def test_machine_of_lost_client_is_stopped_once(
-    how: str, state: str, told: bytes, board: FakeBoard, tmp_path: Path
+    how: str, state: str, stop_bytes: bytes, board: FakeBoard, tmp_path: Path
 ) -> None:
+    """A running machine is held, and a jog cancelled, once when its client is lost.
+
+    stop_bytes: what the board must have received then.
+    """
     async with served(board, tmp_path) as site:
         driver, watcher = await site.open(), await site.open()
         board.say(f"<Run|MPos:0,0,0>\r\nok\r\n<{state}|MPos:0,0".encode())
         board.say(b",0|FS:0,0>\r\nok\r\n<Idle|")  # half a report does not count
         await watcher.wait("<Idle|")
-        await driver.send(b"G1")
+        await driver.send(b"G1")  # an unfinished line, which is dropped
         await _lose(how, site, driver)
         if how != "server ended":
             await watcher.told(drivers=0)
             watcher.vanish()
             await asyncio.sleep(0.1)
+            # Later losses send nothing more: those of a watcher and of an idle client.
             await (await site.open()).leave()
             await asyncio.sleep(0.1)
-    assert board.got == told
-    assert any(state in line for line in site.log) == bool(told)
+    assert board.got == stop_bytes
+    # The log names the state only if the machine was stopped.
+    assert any(state in line for line in site.log) == bool(stop_bytes)
 
 
 async def _lose(how: str, site: Site, driver: Page) -> None:
+    """Lose the controlling client in this way."""
     if how == "closed":
         await driver.leave()
     elif how == "crashed":
@@ -227,18 +272,23 @@ async def _lose(how: str, site: Site, driver: Page) -> None:
 async def test_client_whose_network_fails_is_lost_as_well(
     board: FakeBoard, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(server, "_HEARTBEAT_S", 0.4)
+    """A client that answers no ping is lost although its connection is still open."""
+    monkeypatch.setattr(server, "_HEARTBEAT_S", 0.4)  # time between pings
     async with served(board, tmp_path) as site:
         driver, watcher = await site.open(), await site.open()
         board.say(b"<Run|MPos:0,0,0>\r\n")
         await driver.wait(">")
         driver.go_deaf()  # it answers no ping
         await watcher.told(drivers=0, watchers=1)
-        await board.wait_for(b"!")
+        await board.wait_for(b"!")  # a hold
 
 
 @played
 async def test_job_of_lost_client_is_held_and_continues_on_request(tmp_path: Path) -> None:
+    """The machine is held where it was when its client was lost.
+
+    Another client takes control and resumes it.
+    """
     async with served(Simulator("sim"), tmp_path) as site:
         driver, watcher = await site.open(), await site.open()
         await driver.ask("G91")
@@ -249,11 +299,12 @@ async def test_job_of_lost_client_is_held_and_continues_on_request(tmp_path: Pat
         await watcher.told(drivers=0)
         assert "was in Run: the motion is held (!)" in site.log[-1]
         await watcher.drive(True)
-        held = await watcher.report("Hold:0")
-        assert 0 <= float(held.partition("MPos:")[2].partition(",")[0]) < 20
+        held_report = await watcher.report("Hold:0")
+        # The X position.
+        assert 0 <= float(held_report.partition("MPos:")[2].partition(",")[0]) < 20
         await asyncio.sleep(0.3)
-        assert (await watcher.report()).partition("|FS")[0] == held.partition("|FS")[0]
-        await watcher.send(b"~")
+        assert (await watcher.report()).partition("|FS")[0] == held_report.partition("|FS")[0]
+        await watcher.send(b"~")  # cycle start
         assert "MPos:20.000," in await watcher.report("Idle")
 
 
@@ -264,42 +315,50 @@ PROGRAM = {"id": "one", "name": "x.nc", "program": "G1 X1\nG1 X2\n"}
 async def test_job_is_shared_and_may_be_continued_after_browser_is_lost(
     board: FakeBoard, tmp_path: Path
 ) -> None:
+    """A program and its progress are shared with all clients.
+
+    A client that takes over continues it; a reset of the machine ends it.
+    """
     async with served(board, tmp_path) as site:
         driver, watcher = await site.open(), await site.open()
         assert (await site.job(PROGRAM))[0] == 200
         await watcher.told(job={"id": "one", "name": "x.nc"})
-        far = {"id": "one", "sent": 1, "made": 1, "state": "running", "why": ""}
-        await watcher.job({**far, "made": 9}, "G1 X9\n")  # this client is not in control
-        await driver.job(far, "G1 X1\n")
-        await watcher.told(job={**far, "name": "x.nc"})
+        # sent and made: number of lines sent to the machine, and executed.
+        progress = {"id": "one", "sent": 1, "made": 1, "state": "running", "why": ""}
+        await watcher.job({**progress, "made": 9}, "G1 X9\n")  # this client is not in control
+        await driver.job(progress, "G1 X1\n")
+        await watcher.told(job={**progress, "name": "x.nc"})
         await board.wait_for(b"G1 X1\n")
         assert board.got == b"G1 X1\n"
-        assert (await site.job(PROGRAM))[0] == 409
+        assert (await site.job(PROGRAM))[0] == 409  # one runs already
         driver.vanish()
         await watcher.told(drivers=0)
         third = await site.open()
-        await third.told(job={**far, "name": "x.nc", "state": "left"})
+        await third.told(job={**progress, "name": "x.nc", "state": "left"})
         assert await site.job() == (200, PROGRAM)
-        await third.job({**far, "sent": 2}, "G1 X2\n")
+        await third.job({**progress, "sent": 2}, "G1 X2\n")
         await board.wait_for(b"G1 X1\nG1 X2\n")
         board.say(b"Grbl 1.1h ['$' for help]\r\n")
         stopped = {"sent": 2, "state": "stopped", "why": "the machine was reset"}
-        await watcher.told(job={**far, "name": "x.nc", **stopped})
+        await watcher.told(job={**progress, "name": "x.nc", **stopped})
 
 
 @played
 async def test_queued_lines_count_as_sent_and_reach_board_after_takeover(
     board: FakeBoard, tmp_path: Path
 ) -> None:
-    """So the client that continues the job leaves no line out and sends none twice."""
+    """Lines count as sent once the server has them.
+
+    The client that continues a job leaves none out and sends none twice.
+    """
     async with served(board, tmp_path) as site:
-        driver, other = await site.open(), await site.open()
+        driver, second = await site.open(), await site.open()
         await site.job(PROGRAM)
         board.stuck = True
         await driver.job({"id": "one", "sent": 2, "state": "running"}, "G1 X1\nG1 X2\n")
-        await other.told(job={"id": "one", "name": "x.nc", "sent": 2, "state": "running"})
-        await other.drive(True)
-        await other.told(driver=True)
+        await second.told(job={"id": "one", "name": "x.nc", "sent": 2, "state": "running"})
+        await second.drive(True)
+        await second.told(driver=True)
         board.stuck = False
         await board.wait_for(b"G1 X1\nG1 X2\n")
 
@@ -318,14 +377,16 @@ async def test_queued_lines_count_as_sent_and_reach_board_after_takeover(
 async def test_body_without_program_is_not_shared(
     body: bytes, board: FakeBoard, tmp_path: Path
 ) -> None:
+    """A shared job needs id, name and program, all as text."""
     async with served(board, tmp_path) as site:
         status, words = await site.job(body)
         assert status == 400 and "the request needs a program" in words
-        assert await site.job() == (200, {})
+        assert await site.job() == (200, {})  # no program is open
 
 
 @played
 async def test_jog_of_lost_client_ends(tmp_path: Path) -> None:
+    """The jog of 100 mm is cancelled when its client leaves."""
     async with served(Simulator("sim"), tmp_path) as site:
         driver, watcher = await site.open(), await site.open()
         await driver.ask("$J=G91 X100 F500")
@@ -333,19 +394,30 @@ async def test_jog_of_lost_client_ends(tmp_path: Path) -> None:
         await driver.leave()
         await watcher.told(drivers=0)
         await watcher.drive(True)
-        ended = await watcher.report("Idle")
-        assert 0 < float(ended.partition("MPos:")[2].partition(",")[0]) < 50
+        last_report = await watcher.report("Idle")
+        # The X position, in mm.
+        assert 0 < float(last_report.partition("MPos:")[2].partition(",")[0]) < 50
 
 
 @played
 async def test_simulator_can_be_homed(tmp_path: Path) -> None:
+    """The simulator of `ugrbl web` has switches, so $H succeeds. The settings make it quick."""
     async with served(Simulator("sim"), tmp_path) as site:
         page = await site.open()
-        fast = ("$25=3000", "$24=600", "$110=3000", "$111=3000", "$112=3000")
-        short = ("$120=500", "$121=500", "$122=500", "$130=8", "$131=8", "$132=8", "$22=1")
-        for setting in (*fast, *short):
+        rates = ("$25=3000", "$24=600", "$110=3000", "$111=3000", "$112=3000")
+        accelerations_and_travel = (
+            "$120=500",
+            "$121=500",
+            "$122=500",
+            "$130=8",
+            "$131=8",
+            "$132=8",
+            "$22=1",
+        )
+        for setting in (*rates, *accelerations_and_travel):
             assert (await page.ask(setting)).endswith("ok\r\n")
         assert (await page.ask("$H")).endswith("ok\r\n")
+        # 1 mm off the switches ($27).
         assert "MPos:-1.000,-1.000,-1.000|" in await page.report("Idle")
 
 
@@ -385,6 +457,10 @@ class PtyBoard:
 
 @played
 async def test_unplugging_is_reported_and_retried_while_browsers_stay(tmp_path: Path) -> None:
+    """The port vanishes and returns.
+
+    Browsers stay connected, learn of both, and control stays with the first.
+    """
     port = tmp_path / "ttyACM0"
     plug = PtyBoard(port)
     async with served(SerialSource(lambda: str(port)), tmp_path) as site:
@@ -400,6 +476,7 @@ async def test_unplugging_is_reported_and_retried_while_browsers_stay(tmp_path: 
         plug.plug_in()
         await pages[0].told(link={"name": str(port), "open": True}, driver=True)
         await pages[0].send(b"?$G\n")
+        # The new board gets no line from before; it may be read in two parts.
         assert await asyncio.to_thread(plug.hear) in (b"?", b"?$G\n")
         plug.say(b"ok\r\n")
         for page in pages:
@@ -409,11 +486,12 @@ async def test_unplugging_is_reported_and_retried_while_browsers_stay(tmp_path: 
 
 @played
 async def test_killed_simulator_is_restarted(tmp_path: Path) -> None:
+    """The server notices the end of its simulator and starts another one."""
     simulator = Simulator("sim")
     async with served(simulator, tmp_path) as site:
         page = await site.open()
         assert simulator._process
-        simulator._process.kill()
+        simulator._process.kill()  # as in a crash
         await page.told(link={"name": "sim", "open": False})
         await page.told(link={"name": "sim", "open": True})
         assert "[GC:" in await page.ask("$G")
@@ -424,6 +502,7 @@ async def test_killed_simulator_is_restarted(tmp_path: Path) -> None:
 
 @played
 async def test_page_is_served_and_may_not_be_framed(board: FakeBoard, tmp_path: Path) -> None:
+    """The page forbids to be shown within another page. Other addresses get an explanation."""
     async with served(board, tmp_path) as site:
         async with site.session.get(site.address) as got:
             assert (got.status, await got.text()) == (200, HTML)
@@ -444,6 +523,7 @@ async def test_page_is_served_and_may_not_be_framed(board: FakeBoard, tmp_path: 
 )
 @played
 async def test_foreign_pages_are_refused(origin: str, board: FakeBoard, tmp_path: Path) -> None:
+    """A page from another origin may neither open the websocket nor ask for previews."""
     async with served(board, tmp_path) as site:
         for path, method in (("/ws", "GET"), ("/api/look", "POST")):
             status, said = await site.status(path, method, Origin=origin)
@@ -470,14 +550,22 @@ async def test_foreign_pages_are_refused(origin: str, board: FakeBoard, tmp_path
 async def test_foreign_host_names_are_refused(
     host: str, status: int, board: FakeBoard, tmp_path: Path
 ) -> None:
+    """Only names of this computer are accepted as Host.
+
+    A foreign name that leads here (DNS rebinding) is refused.
+    """
     async with served(board, tmp_path) as site:
-        found, said = await site.status("/", Host=host)
-        assert found == status
+        received_status, said = await site.status("/", Host=host)
+        assert received_status == status
         assert (host in said and "printed at its start" in said) == (status == 403)
 
 
 @played
 async def test_network_access_needs_token(board: FakeBoard, tmp_path: Path) -> None:
+    """Without the right token every address is refused.
+
+    With it, the Host name is checked all the same.
+    """
     async with served(board, tmp_path, host="0.0.0.0") as site:
         token = site.access.token
         assert len(token) >= 20
@@ -504,9 +592,11 @@ def test_every_start_has_new_token() -> None:
 async def test_client_that_does_not_read_is_dropped_and_delays_no_other(
     board: FakeBoard, tmp_path: Path
 ) -> None:
+    """A client that does not read is disconnected once too much output waits for it."""
     async with served(board, tmp_path) as site:
         slow, quick = await site.open(), await site.open()
         slow.go_deaf()
+        # 250 times 64 KiB, 16 MB in all.
         for _ in range(250):
             board.say(b"x" * 65_535 + b"\n")
             await quick.wait("\n")
@@ -517,7 +607,10 @@ async def test_client_that_does_not_read_is_dropped_and_delays_no_other(
 
 @pytest.fixture
 def recorded(tmp_path: Path) -> Iterator["tuple[str, Path, subprocess.Popen[str]]"]:
-    """A simulator that writes its steps at the end; yields its address, the file, the process."""
+    """Start a simulator that writes its steps at the end.
+
+    Yields its address, the report file, and the process.
+    """
     report = tmp_path / "report.json"
     command = [sys.executable, "-m", "ugrbl.cli", "sim", "--tcp", "0", "--report", str(report)]
     process = subprocess.Popen(
@@ -535,25 +628,32 @@ def recorded(tmp_path: Path) -> Iterator["tuple[str, Path, subprocess.Popen[str]
 async def test_reloads_and_slow_readers_change_no_step(
     recorded: "tuple[str, Path, subprocess.Popen[str]]", tmp_path: Path
 ) -> None:
+    """Other clients do not change the motion of a program that is being sent.
+
+    Some come and go all the time and some read nothing; the steps are those of a run without a
+    server.
+    """
     port, report, process = recorded
     lines = [f"G1 X{n * 7 % 11} Y{n * 3 % 5} F{1000 + n % 9}".encode() for n in range(400)]
     async with served(SerialSource(lambda: port), tmp_path) as site:
         driver = await site.open()
         await driver.ask("G21 G90")
-        storms = [asyncio.create_task(_reload(site, slow)) for slow in (True, False, False)]
+        reloading_clients = [
+            asyncio.create_task(_reload(site, slow)) for slow in (True, False, False)
+        ]
         await _stream(driver, lines)
         await driver.report("Idle")
-        for storm in storms:
+        for storm in reloading_clients:
             storm.cancel()
-        counts = await asyncio.gather(*storms, return_exceptions=True)
+        counts = await asyncio.gather(*reloading_clients, return_exceptions=True)
         assert all(isinstance(count, asyncio.CancelledError) for count in counts)
         assert not site.log
     process.terminate()
     process.communicate()
     made = json.loads(report.read_text())
-    wanted, _ = run_program([b"G21 G90", *lines])
-    assert made["steps_made"] == wanted.totals.steps_made
-    assert made["final_position_mm"] == wanted.totals.final_position_mm
+    expected, _ = run_program([b"G21 G90", *lines])
+    assert made["steps_made"] == expected.totals.steps_made
+    assert made["final_position_mm"] == expected.totals.final_position_mm
 
 
 async def _reload(site: Site, slow: bool) -> None:
@@ -569,16 +669,20 @@ async def _reload(site: Site, slow: bool) -> None:
 
 
 async def _stream(page: Page, lines: "list[bytes]") -> None:
-    """Keep at most 120 bytes unanswered, and request reports meanwhile."""
+    """Send the lines with at most 120 bytes unanswered.
+
+    Every tenth line also requests a status report.
+    """
     page.text = ""
-    under_way: deque[int] = deque()
+    unanswered_sizes: deque[int] = deque()
     answered = 0
     for count, line in enumerate(lines):
-        while sum(under_way) + len(line) + 1 > 120:
+        while sum(unanswered_sizes) + len(line) + 1 > 120:
             await until(lambda: page.text.count("ok\r\n") > answered, "answer")  # noqa: B023
             answered += 1
-            under_way.popleft()
+            unanswered_sizes.popleft()
         await page.send(line + b"\n" + (b"?" if count % 10 == 0 else b""))
-        under_way.append(len(line) + 1)
+        unanswered_sizes.append(len(line) + 1)
     await until(lambda: page.text.count("ok\r\n") == len(lines), "last answer")
+    # At least half of the requested reports came.
     assert "error" not in page.text and page.text.count("<") > len(lines) // 20

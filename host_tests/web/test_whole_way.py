@@ -186,6 +186,10 @@ def home(mechanic: Mechanic) -> None:
 
 
 def test_empty_board_ends_as_machine_that_finishes_job_after_tool_change_and_power_cut(mechanic):
+    """All that a user does, from the board file to a job.
+
+    The power is cut during the job; at its end no step is lost.
+    """
     mechanic.open_from_disk()
     set_up_board(mechanic)
     set_up_machine(mechanic)
