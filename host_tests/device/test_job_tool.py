@@ -67,6 +67,7 @@ def test_program_is_sent_listed_shown_run_and_deleted(bench: Bench, file: Path) 
 
 
 def test_program_refused_at_once_is_reported(bench: Bench, tmp_path: Path) -> None:
+    """The job ends at its second line, while the command still waits."""
     (tmp_path / "bad.nc").write_text("G21\nG5 X1\n")  # G5 is not supported
     assert ugrbl(bench, "push", tmp_path / "bad.nc").exit_code == 0
     done = ugrbl(bench, "run", "BAD.NC")

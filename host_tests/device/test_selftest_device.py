@@ -107,7 +107,8 @@ class Back:
 def test_firmware_answers_after_the_watchdog_has_disconnected_usb(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The port breaks after two lines; it can be opened at the third attempt."""
+    """The board prints a fact twice, in any pieces, and hangs; its port breaks, and can be
+    opened again at the third attempt."""
     opened_ports: "list[str]" = []
 
     def open_port(port: str) -> Back:

@@ -169,6 +169,7 @@ def test_signal_holds_resets_and_names_the_line(
     sent = bench.wire(">")
     assert 0 < sent.index(b"!") < sent.index(b"\x18")
     assert state == "Idle" and x < 100
+    # Line n is from X (n-1)/2 to n/2; the last report may be from the line before.
     assert (line_made(text) - 2) / 2 <= x <= line_made(text) / 2 + 0.02
     assert f"stopped: {number.name}" in text and "the machine is in Idle" in text
 
@@ -493,6 +494,7 @@ def test_line_is_named_from_reports_of_work_positions(bench: Bench, tmp_path: Pa
     assert connection.wait_for(lambda line: bool(connection.place()), 5)
     connection.close()
     x = connection.work_place()[0]
+    # Line n is from X (n-1)/2 to n/2; the last report may be from the line before.
     assert (named_line - 2) / 2 <= x <= named_line / 2 + 0.02, text
 
 

@@ -330,6 +330,7 @@ def test_port_without_a_machine_is_named(tmp_path: Path) -> None:
 
 
 def test_older_file_formats_are_read() -> None:
+    """As Grbl 0.9 prints settings, with names in parentheses."""
     settings = Settings.read(
         "[0.9j.20160303:]\n$0=10 (step pulse, usec)\n\n(mine)\n$110 = 500.000\n"
     )

@@ -137,7 +137,8 @@ def test_the_machine_works_with_a_damaged_custom_py(
 @pytest.mark.thorough
 @needs_micropython
 def test_micropython_starts_with_the_older_copy(filled: Path, tmp_path: Path) -> None:
-    """The script damages each name's file in turn and counts the reports."""
+    """The script damages all files, starts a machine, and prints how many reports of damage it
+    has sent."""
     folder = tmp_path / "board"
     shutil.copytree(filled, folder)
     said = run_micropython(_BENCH, "damage", folder, paths=PATHS)

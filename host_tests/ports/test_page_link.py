@@ -287,18 +287,19 @@ def test_a_message_may_come_in_any_parts(bench) -> None:
     ("code", "data"),
     [
         (1002, b"\x82\x05G1X9\n"),  # not masked
-        (1002, frame("G1X9\n", BINARY | 0x40)),
-        (1002, frame("G1X9\n", 3)),
+        (1002, frame("G1X9\n", BINARY | 0x40)),  # a reserved bit is set
+        (1002, frame("G1X9\n", 3)),  # reserved opcodes: 3 and 11
         (1002, frame("G1X9\n", 11)),
         (1002, frame("G1X9\n", 0)),  # continuation without a beginning
         (1002, frame("G", last=False) + frame("1X9\n")),  # a message within another
-        (1002, frame("x", PING, last=False)),
-        (1002, frame("x" * 126, PING)),
+        (1002, frame("x", PING, last=False)),  # a ping in several frames
+        (1002, frame("x" * 126, PING)),  # a ping of more than 125 bytes
+        # 5 bytes, in the long form of a length
         (1002, bytes((0x82, 0xFE, 0, 5)) + MASK + b"G1X9\n"),
-        (1009, bytes((0x82, 0xFF)) + bytes(8) + MASK),
-        (1003, frame('{"drive":true}', TEXT)),
-        (1003, frame(b"\xc3\x28", TEXT)),
-        (1000, frame(b"\x03\xe8", CLOSE)),
+        (1009, bytes((0x82, 0xFF)) + bytes(8) + MASK),  # a length of 64 bits
+        (1003, frame('{"drive":true}', TEXT)),  # text; a page sends binary messages only
+        (1003, frame(b"\xc3\x28", TEXT)),  # no UTF-8
+        (1000, frame(b"\x03\xe8", CLOSE)),  # an orderly end, with and without a code
         (1000, frame(b"", CLOSE)),
         (1002, b"GET / HTTP/1.1\r\nHost: ugrbl\r\n\r\n"),
     ],
