@@ -20,9 +20,9 @@ from ugrbl.sim.engine import Switch, step_tick
 # Many cases: the first ring runs a sample of them.
 pytestmark = pytest.mark.sampled(2)
 
-_PER_MM = 250
+_PER_MM = 250  # steps
 _SLACK = (25, 10, 40)  # steps
-_TICK_HZ = 13_107_200
+_TICK_HZ = 13_107_200  # of the simulated step engine
 _SETTINGS = {
     1: 0,
     24: 300,
@@ -64,6 +64,7 @@ class Table:
         machine_trace: Any = made.rig.engine.trace
 
         def trace(start: int, row: Any) -> None:
+            """Move the table by each row of steps, which the machine also records."""
             machine_trace(start, row)
             self._move(row)
 
@@ -102,7 +103,7 @@ def played(
 
 
 # First all axes move up, so that their side of the slack, and the table's position, are known.
-_UP = "G0X1Y1Z1"
+_UP = "G0X1Y1Z1"  # from 0, mm
 
 
 def reported(made: Machine) -> "list[list[float]]":
@@ -201,6 +202,7 @@ def test_position_stays_right_after_any_interruption_of_the_slack(byte: str) -> 
         made.table.slack = (*_SLACK[:2], 2 * _PER_MM)  # type: ignore[attr-defined]
 
         def script(made: Machine = made, ms: int = ms) -> Iterator[Any]:
+            """Send the byte `ms` after the start of the move; come to a stop, through a hold."""
             yield from made.start()
             yield from made.sender.wait("idle", f"{_UP}\n", settle=1)
             made.take()  # empties the list of replies
@@ -229,6 +231,7 @@ def test_rest_of_the_slack_is_taken_up_after_a_reset_in_the_middle() -> None:
         made.table.slack = (*_SLACK[:2], 2 * _PER_MM)  # type: ignore[attr-defined]
 
         def script(made: Machine = made, ms: int = ms) -> Iterator[Any]:
+            """Reset `ms` after the start of the move; unlock, and move Z up and down."""
             yield from made.start()
             yield from made.sender.wait("idle", f"{_UP}\n", settle=1)
             made.take()  # empties the list of replies
@@ -253,6 +256,7 @@ def test_jog_cancelled_in_the_slack_moves_the_table_no_further() -> None:
         made.table.slack = (*_SLACK[:2], 2 * _PER_MM)  # type: ignore[attr-defined]
 
         def script(made: Machine = made, ms: int = ms) -> Iterator[Any]:
+            """Cancel the jog `ms` after its start; then move to Z0."""
             yield from made.start()
             yield from made.sender.wait("idle", f"{_UP}\n", settle=1)
             made.take()  # empties the list of replies
@@ -284,6 +288,7 @@ def test_slack_after_homing_is_on_the_side_of_the_pull_off(inverted: int) -> Non
     origins: list[list[float]] = []  # table less report after each line, mm
 
     def script() -> Iterator[Any]:
+        """Home and move in both directions; compare table and report after each line."""
         yield from made.start()
         for line in ("$H", "G53G0X-3Y-3Z-3", "G53G0X-2Y-2Z-2", "G53G1X-4Y-4Z-4F900"):
             yield from made.sender.wait("idle", line + "\n", settle=1)
@@ -329,6 +334,7 @@ def test_laser_is_dark_in_the_slack_and_a_spindle_stays_on() -> None:
         def trace(
             start: int, row: Any, before: Any = machine_trace, powers: Any = powers, m: Any = made
         ) -> None:
+            """Record the power of each row of steps within the slack."""
             before(start, row)
             # While the slack is taken up, the axes stand and only motors move.
             if m.rig.controller.planner.kinematics.standing:
@@ -373,8 +379,8 @@ def test_conflicting_option_is_refused_with_the_reason(word: str) -> None:
 def test_run_reports_axes_and_counts_motor_steps(tmp_path: Path) -> None:
     file = tmp_path / "back.nc"
     file.write_text("G0X1\nG1X-2F900\nX0\n")
-    asked = ["run", str(file), "--board", "sim_backlash", "--set", "160=0.1"]
-    said = CliRunner().invoke(app, asked)
+    words = ["run", str(file), "--board", "sim_backlash", "--set", "160=0.1"]
+    said = CliRunner().invoke(app, words)  # ugrbl run; $160 is 0.1 mm of backlash of X
     assert said.exit_code == 0, said.output
     # Steps: (1 + 3 + 2) mm * 250, and 25 of slack at each of two reversals. Reports have no slack.
     assert "1550 commanded = 1550 made" in said.output

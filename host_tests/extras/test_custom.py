@@ -19,7 +19,7 @@ from ugrbl.sim.replay import factory_store
 from ugrbl.sim.rig import Rig
 from ugrbl.sim.sender import Sender
 
-_STEPS_PER_MM = 250
+_STEPS_PER_MM = 250  # of the board sim
 _STOPPING_MM = 500**2 / 3600 / 2 / 10 + 0.5  # from F500, with 10 mm/s2
 _PINS = {"OUTPUTS": {"vacuum": 20, "air": 21}, "INPUTS": {"sensor": 22}}
 
@@ -55,6 +55,7 @@ class Bench:
         said: list[list[str]] = []
 
         def script() -> Iterator[Any]:
+            """Wait for the welcome, go through `talk`, and note the final state."""
             yield from self.sender.wait("banner", "")
             yield self.rig.ms(100)
             self.greeting = self.sender.take()  # lines received at power-up
@@ -165,6 +166,10 @@ def test_line_of_a_handler_is_read_like_a_senders(text: str) -> None:
 
 
 def test_pulses_have_the_given_width_and_end_with_a_reset(bench: Make) -> None:
+    """Pulses of m.pwm() (duty P at 500 Hz) and m.servo() (P in us), and m.out(), which ends them.
+
+    A failing handler and a reset switch all outputs off.
+    """
     made = bench(
         "@mcode(100, 'P')\ndef share(m, P): m.pwm('vacuum', P, hz=500)\n"
         "@mcode(101, 'P')\ndef turn(m, P): m.servo('air', P); heard.append(m.is_on('air'))\n"
@@ -373,10 +378,8 @@ def beside(m):
 @pytest.mark.parametrize(
     "kind", ["1 / 0", "raise ValueError('ok error')", "m.g('G1 X1 Y')", "heard[5]", "nothing()"]
 )
-def test_failing_word_lets_motion_end_and_alarms_with_file_and_line(
-    bench: Make, kind: str
-) -> None:
-    """Its move G0 X3 is completed, and the spindle is off afterwards."""
+def test_failing_word_lets_motion_end_and_stops_the_spindle(bench: Make, kind: str) -> None:
+    """M100 moves by X3 (see failing()), then fails: X3 is reached, and the spindle is off."""
     made = bench(failing(kind))
     made.say(("M3S100\n", "ok"), ("M100\n", "ms 3000"), ("?", "ms 20"))
     assert made.mm[0] == 3 and not made.power

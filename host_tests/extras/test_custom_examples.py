@@ -22,7 +22,7 @@ from ugrbl.sim.sender import Sender, is_answer
 pytestmark = pytest.mark.sampled(1)
 
 _EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "custom"
-_STEPS = 250
+_STEPS = 250  # per mm
 _FAST = {110: 6000, 111: 6000, 112: 6000, 120: 500, 121: 500, 122: 500, 1: 255}
 _LONGEST = {"rack": 120}
 
@@ -76,6 +76,7 @@ class Shop:
         """Return the port's drive(levels), which also records changed outputs; a bit each."""
 
         def driven(levels: int) -> None:
+            """Set the outputs to levels, a bit each, and record those that have changed."""
             was = self.rig.port.own_outputs
             drive(levels)
             for bit, name in enumerate(self.outputs):
@@ -109,6 +110,7 @@ class Shop:
         faults: "list[Exception]" = []  # of the script: no handler may catch them
 
         def whole() -> "Iterator[Any]":
+            """Wait for welcome and 50 ms of silence, then run the script; store its exception."""
             try:
                 yield from self.sender.wait("banner", "")
                 yield from self.sender.silence(self.rig.now, 50)
@@ -170,6 +172,7 @@ class Shop:
         replies: "list[str]" = []
 
         def script() -> "Iterator[Any]":
+            """Send the line, and store the replies."""
             replies.extend((yield from self.send(line)))
 
         self.run(script())
@@ -180,6 +183,7 @@ class Shop:
         answers: "list[str]" = []
 
         def script() -> "Iterator[Any]":
+            """Send line by line, and store the answers."""
             for line in lines:
                 replies = yield from self.send(line)
                 answers.extend([text for text in replies if is_answer(text)])
@@ -234,6 +238,7 @@ def test_tool_is_changed_with_everything_off_and_measured(shop: Make) -> None:
     seen: dict[str, Any] = {}
 
     def script() -> "Iterator[Any]":
+        """Change to tool 2; look at the machine while it waits for the user."""
         yield from made.send("G20 G91 M3 S1000 M8")
         yield from made.start("T2 M6")  # waits for the hold
         port = made.rig.port
@@ -256,6 +261,7 @@ def test_length_is_restored_after_a_reset_and_power_off(shop: Make) -> None:
     seen: list[Any] = []
 
     def script() -> "Iterator[Any]":
+        """Measure a tool; reset while idle; read the offsets."""
         yield from made.start("T2 M6")
         yield from made.start("~", "Idle")  # the tool is in; it is measured
         yield from made.send("\x18", "banner")
@@ -282,6 +288,7 @@ def test_tool_that_does_not_touch_has_no_length(shop: Make) -> None:
     seen: list[Any] = []
 
     def script() -> "Iterator[Any]":
+        """Change to tool 2; its measurement touches nothing; unlock, and read the offsets."""
         yield from made.send("G43.1 Z-20")
         yield from made.start("T2 M6")
         yield from made.start("~", "Alarm")
@@ -312,6 +319,7 @@ def test_reset_during_the_measurement_stops_and_leaves_no_length(shop: Make) -> 
     seen: list[Any] = []
 
     def script() -> "Iterator[Any]":
+        """Reset in the middle of the measurement. Note the place at once and 0.5 s later."""
         yield from made.start("T2 M6")
         yield from made.start("~", "Run")
         yield made.rig.ms(1500)  # it has left the place of the change, X3 Y60
@@ -452,6 +460,7 @@ def test_vacuum_follows_the_spindle_and_runs_on(shop: Make) -> None:
         seen.append((made.is_on("vacuum"), made.is_on("air")))
 
     def script() -> "Iterator[Any]":
+        """M3 at X5 and M5 at X10; look at the outputs 0.1, 4.6 and 5.6 s after M5."""
         yield from made.send("G1 X5 F1500")
         since = made.rig.now
         yield from made.send("M3 S1000")
@@ -512,6 +521,7 @@ def test_stack_light_shows_the_state(shop: Make) -> None:
         seen.append("".join([n[0] for n in made.outputs[:3] if made.is_on(n)]))
 
     def script() -> "Iterator[Any]":
+        """Look at the lamps while idle, in motion, in a hold, resumed, after a reset, unlocked."""
         yield from look("", "ms 1")  # idle
         yield from look("G1 X50 F600\n", "ms 500")
         yield from look("!", "ms 500")
@@ -550,6 +560,7 @@ def test_parts_are_counted_over_power_off(shop: Make) -> None:
     made = shop("counter")
 
     def script() -> "Iterator[Any]":
+        """M120 sets 3 parts as the number wanted; two programs end with M30."""
         yield from made.send("M120 Q3")
         for _ in range(2):
             yield from made.send("G1 X1 F1000")
@@ -561,6 +572,7 @@ def test_parts_are_counted_over_power_off(shop: Make) -> None:
     seen: list[str] = []
 
     def next_day() -> "Iterator[Any]":
+        """Read the counter after power-up; M2 ends the third part; M121 starts again at 0."""
         yield from made.reports()  # only a second report is sure to have the field
         seen.extend((yield from made.reports()))
         yield from made.start("M2")
@@ -595,6 +607,7 @@ def test_guarded_probe_stops_at_an_obstacle(shop: Make, line: str) -> None:
     seen: list[Any] = []
 
     def script() -> "Iterator[Any]":
+        """M114 P1 guards the probe; it touches during a move; unlock, and jog away."""
         yield from made.send("M114 P1")
         yield from made.send(line + "\n", "ms 1")
         if line[0] == "G":  # lines after it, which are not executed
@@ -661,6 +674,7 @@ def test_feeder_runs_until_a_part_lies_still(shop: Make) -> None:
     seen: list[bool] = []
 
     def script() -> "Iterator[Any]":
+        """M115 runs the feeder until the input "part" closes."""
         yield from made.send("G1 X10 F1000")
         yield from made.send("M115\nG1 X20\n", "ms 2000")  # X10 is reached, no part has come
         seen.append(made.is_on("feeder"))
@@ -680,6 +694,7 @@ def test_job_holds_without_a_part_until_the_user_resumes(shop: Make) -> None:
     made = shop("feeder", **_FEEDER)
 
     def script() -> "Iterator[Any]":
+        """M115 holds, because no part comes within Q2 = 2 s; a part and cycle start end it."""
         yield from made.start("M115 Q2")  # waits for the hold
         assert not made.is_on("feeder") and made.answers == []
         made.close("part")
@@ -694,6 +709,7 @@ def test_reset_stops_the_feeder_and_a_jam_is_reported(shop: Make) -> None:
     made = shop("feeder", **_FEEDER)
 
     def script() -> "Iterator[Any]":
+        """Reset while M115 feeds; then M115 with the input "jam" closed, and with a wrong Q."""
         yield from made.send("M115\n", "ms 500")
         assert made.is_on("feeder")
         yield from made.send("\x18", "banner")
@@ -716,6 +732,7 @@ def test_part_is_picked_and_placed(shop: Make) -> None:
     made = shop("pick", **_PICK)
 
     def script() -> "Iterator[Any]":
+        """Pick with M116 at X1 inch, place with M117 at X2 inches."""
         yield from made.send("G20 G0 X1")
         # 12.7 mm down at 600 mm/min take 1.3 s. Then it waits 0.8 s for the vacuum sensor.
         yield from made.send("M116 Z-0.5\n", "ms 1900")
@@ -746,6 +763,7 @@ def test_missing_and_lost_parts_hold_the_job(shop: Make) -> None:
     made = shop("pick", **_PICK)
 
     def script() -> "Iterator[Any]":
+        """Pick without a part, then with one; lose it during a move; resume with it."""
         yield from made.start("M116 Z-5")  # waits for the hold
         assert made.place() == (0, 0, 0) and made.messages[0].startswith("No part at the sucker")
         made.close("gripped")
@@ -780,6 +798,7 @@ def test_pen_is_down_before_the_machine_moves(shop: Make) -> None:
         return round(PWM.outputs[15].duty * 20000 / 65535)
 
     def script() -> "Iterator[Any]":
+        """M3 puts the pen down; a reset during a move lifts it. Note the pulses, and the wait."""
         seen.append(us())
         since = made.rig.now
         yield from made.send("M3 S1")
@@ -823,6 +842,7 @@ def test_wheel_jogs_by_its_edges(shop: Make, edges: int, coarse: bool, mm: float
     made = shop("pendant", **_PENDANT)
 
     def script() -> "Iterator[Any]":
+        """Choose axis Y, turn the wheel of the pendant, and wait for the end of the jog."""
         made.close("y")
         made.close("coarse", coarse)
         yield from turn_wheel(made, edges)
@@ -839,6 +859,7 @@ def test_button_jogs_while_it_is_held(shop: Make) -> None:
     seen: list[Any] = []  # X after 3 s, a report, X at the end
 
     def script() -> "Iterator[Any]":
+        """Hold the pendant's button "minus" for 3 s."""
         made.close("minus")
         yield made.rig.ms(3000)
         seen.append(made.place()[0])
@@ -857,6 +878,7 @@ def test_pendant_does_not_disturb_a_program(shop: Make) -> None:
     made = shop("pendant", **_PENDANT)
 
     def script() -> "Iterator[Any]":
+        """Use the button "minus" and the wheel of the pendant during a move."""
         yield from made.send("G1 X20 F1000\n", "ms 100")
         made.close("minus")
         yield made.rig.ms(300)
@@ -913,6 +935,7 @@ def test_clicks_of_the_serial_pendant_jog_and_wrong_frames_do_not(pendant: Shop)
     wrong[2] ^= 4  # the checksum no longer fits the clicks
 
     def script() -> "Iterator[Any]":
+        """Send frames of the pendant: right, damaged, cut off, not enabled, for no axis."""
         yield from repeated(pendant, frame(axis=1, clicks=-3), 4)
         yield from repeated(pendant, bytes(wrong), 3)
         # The first of these two begins in its middle.
@@ -935,6 +958,7 @@ def test_jog_of_the_serial_pendant_ends(pendant: Shop, end: str) -> None:
     seen: list[Any] = []
 
     def script() -> "Iterator[Any]":
+        """Hold "plus" for 100 frames (2 s); then end in the way that the parameter `end` says."""
         yield from repeated(pendant, frame(0, percent=50, buttons=1 | 2), 100)
         seen.append(pendant.place()[0])
         seen.extend((yield from pendant.reports()))
@@ -956,6 +980,7 @@ def test_hold_of_the_serial_pendant_acts_once_in_a_program(pendant: Shop) -> Non
     """Wheel and plus do nothing in a program. The held hold button must not hold it again."""
 
     def script() -> "Iterator[Any]":
+        """In a program: clicks with "plus", then the hold button; ~, and the button again."""
         yield from pendant.send("G1 X20 F1000\n", "ms 100")
         yield from repeated(pendant, frame(1, clicks=9, buttons=1 | 2), 5)
         yield from repeated(pendant, frame(buttons=1 | 8), 20)
@@ -1042,6 +1067,7 @@ def test_tools_return_to_their_pockets_and_are_measured(shop: Make) -> None:
     seen: list[Any] = []
 
     def script() -> "Iterator[Any]":
+        """Change tools as given; note spindle, Z and tool length after each M6."""
         for line in ("G20 G91", "T3 M6", "M3 S500", "G0 Y-1", "T8", "G0 Y-1", "M6", "M6", "T0 M6"):
             yield from made.send(line)
             if line == "M6":
@@ -1063,6 +1089,7 @@ def test_impossible_tool_change_is_refused_before_anything_moves(shop: Make) -> 
     Rack(made)
 
     def script() -> "Iterator[Any]":
+        """Cause each refusal in turn, by inputs; M61 Q says which tool is in the cone."""
         yield from made.send("T9 M6")
         made.close("air", False)
         yield from made.send("T1 M6")
@@ -1091,6 +1118,7 @@ def test_stuck_drawbar_stops_the_change(shop: Make) -> None:
     rack = Rack(made)
 
     def script() -> "Iterator[Any]":
+        """Take tool 2; then the drawbar does not open when it is to be put away."""
         yield from made.send("T2 M6")
         rack.stuck = True
         yield from made.send("T5 M6\n", "ms 1")
@@ -1108,6 +1136,7 @@ def test_empty_pocket_and_broken_tool_are_reported(shop: Make) -> None:
     rack = Rack(made)
 
     def script() -> "Iterator[Any]":
+        """Shorten tool 2 by 3 mm between two changes; later remove tool 7 from its pocket."""
         yield from made.send("T2 M6")
         yield from made.send("T0 M6")
         rack.lengths[2] -= 3
@@ -1131,6 +1160,7 @@ def test_reset_at_any_time_of_a_change_drops_no_tool(shop: Make) -> None:
         rack = Rack(made)
 
         def script(made: Shop = made, rack: Rack = rack, ms: int = ms) -> "Iterator[Any]":
+            """Reset `ms` after the start of the change from tool 2 to 5; then change to tool 1."""
             yield from made.send("T2 M6")
             yield from made.send("T5 M6\n", "ms %d" % ms)
             yield from made.send("\x18", "banner")
@@ -1243,6 +1273,7 @@ def test_silent_inverter_stops_the_machine(inverter: Shop) -> None:
     """It no longer answers during a move: alarm 34 within some telegrams, and a stop command."""
 
     def script() -> "Iterator[Any]":
+        """The inverter no longer answers 0.5 s after the begin of a move."""
         yield from inverter.send("M3 S12000")
         yield from inverter.send("G1 X100 F1000\n", "ms 500")
         Inverter.dumb = True
@@ -1257,6 +1288,8 @@ def test_silent_inverter_stops_the_machine(inverter: Shop) -> None:
 
 
 def test_spindle_that_does_not_reach_its_speed_stops_the_job(inverter: Shop) -> None:
+    """The inverter does not change its speed (slow): alarm, and the move after M3 has not begun."""
+
     def script() -> "Iterator[Any]":
         Inverter.slow = True
         yield from inverter.send("M3 S12000\nG1 X100 F1000\n", "ms 1")
@@ -1268,6 +1301,8 @@ def test_spindle_that_does_not_reach_its_speed_stops_the_job(inverter: Shop) -> 
 
 
 def test_reset_stops_the_inverter(inverter: Shop) -> None:
+    """Within 200 ms after a reset the example has sent the stop command, 1."""
+
     def script() -> "Iterator[Any]":
         yield from inverter.send("M3 S12000")
         yield from inverter.send("\x18", "banner")
@@ -1356,6 +1391,7 @@ def test_blade_cuts_corners_completely_and_is_out_while_it_turns(shop: Make) -> 
 
 
 def test_straight_sequence_of_lines_lifts_no_blade(shop: Make) -> None:
+    """Five lines in one direction are one cut at Z-4; a reset stops the blade."""
     lines = ["G111 X%d Y%.2f" % (10 * i, 0.2 * i) for i in range(1, 6)]
     made, places = swinging(shop, "G0 Z5", *lines)
     cutting = places[next(i for i, place in enumerate(places) if place[2] == -4) :]
@@ -1399,6 +1435,7 @@ def test_input_is_waited_for_by_its_number(shop: Make) -> None:
     made = shop("digital_io", **_NUMBERED)
 
     def script() -> "Iterator[Any]":
+        """Wait with M66 for inputs by number, and let them change."""
         # L3 waits until it is closed. It closes after 500 ms, and the answer comes then.
         yield from made.send("M66 P0 L3 Q2\n", "ms 500")
         assert made.answers == []
@@ -1471,6 +1508,7 @@ def test_tool_is_changed_once_and_its_length_is_used(shop: Make) -> None:
     offsets: "list[str]" = []  # replies to $#
 
     def script() -> "Iterator[Any]":
+        """Change to tool 2, again to it, and to tool 3, which has no length."""
         yield from made.send("G10 L1 P2 Z-12.5")
         yield from made.send("M3 S100")
         yield from made.start("T2 M6")

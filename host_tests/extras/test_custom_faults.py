@@ -160,6 +160,7 @@ def test_failing_homing_after_a_reset_is_not_repeated(bench: Make) -> None:
 
 
 def test_other_handlers_after_a_reset_still_run(bench: Make) -> None:
+    """The first handler fails: in the alarm after a reset during motion, m.g() is not allowed."""
     made = bench(
         "@on.after_reset\ndef a(m): heard.append('a'); m.g('G21')\n"
         "@on.after_reset\ndef b(m): heard.append('b')\n"
@@ -169,6 +170,7 @@ def test_other_handlers_after_a_reset_still_run(bench: Make) -> None:
 
 
 def test_handler_that_failed_after_a_reset_runs_again_after_the_next(bench: Make) -> None:
+    """It fails only the first time; two resets while idle call it twice."""
     made = bench(
         "@on.after_reset\ndef a(m):\n    heard.append(m.state)\n    if len(heard) < 2: 1 / 0\n"
     )

@@ -28,8 +28,8 @@ from ugrbl.sim.rig import PowerOff, Rig
 from ugrbl.sim.sender import Sender, TooLong
 
 _SESSIONS = int(os.environ.get("UGRBL_TORTURE", "27"))
-_PARTS = 8
-_STEPS_PER_MM = 250
+_PARTS = 8  # in which pytest runs them
+_STEPS_PER_MM = 250  # of the board sim
 _CUSTOM = """
 from ugrbl import mcode, on, every
 

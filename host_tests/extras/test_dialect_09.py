@@ -59,6 +59,7 @@ def converse(*talk: "tuple[str, str]", board: str = "sim_09j") -> "list[list[str
     replies = []
 
     def script() -> Iterator[Any]:
+        """Wait for the welcome, then send each text and store its replies."""
         sender.allow(600_000)  # ms
         yield from sender.wait("banner", "")
         sender.take()
@@ -214,6 +215,7 @@ def test_line_longer_than_the_buffer_is_split(length: int, reply: "list[str]") -
 
 
 def test_tool_word_is_read_and_ignored() -> None:
+    """$G reports T0 after T999 and T5, as Grbl 0.9 does, which has no tool change."""
     assert converse(("T999\n", "ok"), ("T5\n", "ok"), ("$G\n", "ok")) == [
         ["ok"],
         ["ok"],

@@ -27,8 +27,8 @@ from ugrbl.sim.sender import Sender
 Steps = Generator[Any, None, None]
 
 _WELCOME = "GrblHAL 1.1f ['$' or '$HELP' for help]"
-_FAST = "".join(f"$11{axis}=6000\n$12{axis}=500\n" for axis in range(3))
-_PATIENCE_MS = 600_000
+_FAST = "".join(f"$11{axis}=6000\n$12{axis}=500\n" for axis in range(3))  # rate, acceleration
+_PATIENCE_MS = 600_000  # limit of all waits
 
 
 def board(**options: Any) -> ModuleType:
@@ -61,6 +61,10 @@ def converse(monkeypatch: pytest.MonkeyPatch) -> Any:
     """
 
     def run(steps: Any, **options: Any) -> Talk:
+        """Run steps(talk) at a new machine; options: of the board file.
+
+        hal.txt, the texts of the answers, is made for this board and read from memory.
+        """
         machine = board(**options)
         texts = hal_texts.made(machine)[hal_texts.name()]
         monkeypatch.setattr(dialect_hal, "texts", lambda: BytesIO(texts))
@@ -98,6 +102,7 @@ def test_gsender_connects(converse: Any) -> None:
         return ""
 
     def steps(talk: Talk) -> Steps:
+        """Connect as gSender does."""
         assert firmware(_WELCOME) == "grblhal"
         # Without a welcome the first answer decides.
         lines = yield from talk.ask("$I\n")
@@ -146,6 +151,7 @@ def test_iosender_connects(converse: Any) -> None:
     """The requests that ioSender sends when it connects, each answer read as it reads them."""
 
     def steps(talk: Talk) -> Steps:
+        """Connect as ioSender does."""
         (report,) = yield from talk.ask("\x87", "report")
         assert "FW:grblHAL" in report.rstrip(">").split("|")
         lines = yield from talk.ask("$I+\n")
@@ -180,6 +186,7 @@ def test_options_of_the_board_are_reported(converse: Any, tmp_path: Path) -> Non
     """A board with a rotary axis A and a folder with jobs; homing and laser are switched on."""
 
     def steps(talk: Talk) -> Steps:
+        """Read what the answers say about homing, jobs, A, tool length, tool, and laser."""
         yield from talk.ask("$22=1\n")
         lines = yield from talk.ask("$I\n")
         assert "[NEWOPT:ENUMS,HOME,SD]" in lines and "[AXS:4:XYZA]" in lines
@@ -243,6 +250,7 @@ def test_reading_commands_are_answered_in_motion(converse: Any) -> None:
     """A move of 2 s runs; senders ask for descriptions at any time."""
 
     def steps(talk: Talk) -> Steps:
+        """Send the commands during a move of 2 s."""
         yield from talk.ask(_FAST)
         yield from talk.ask("G1X20F600\n", "ok")
         for command in ("$ES", "$EE", "$+", "$SPINDLESH", "$HELP"):
@@ -257,6 +265,7 @@ def test_unanswered_bytes_of_gsender_are_not_lost(converse: Any) -> None:
     lines = [f"G1 X{k % 2}.{k % 10}00 Y0.{k % 10}00 F1200\n" for k in range(31)]
 
     def steps(talk: Talk) -> Steps:
+        """Fill a buffer of 1024 bytes at once, during a move; every line must be answered."""
         yield from talk.ask("G1 X5 F600\n")
         sent = "".join(lines)[:724].rpartition("\n")[0] + "\n"
         talk.rig.link.send(sent.encode())  # all at once, during the move
@@ -274,6 +283,7 @@ def test_bytes_of_grblhal_act_like_those_of_grbl(converse: Any) -> None:
     """In grblHAL, 0x82 is !, 0x80 is ?, 0x81 is ~, and 0x87 a full report."""
 
     def steps(talk: Talk) -> Steps:
+        """Hold (0x82), report (0x80), resume (0x81) and full report (0x87)."""
         yield from talk.ask(_FAST)
         yield from talk.ask("G1X20F1200\n", "ok")
         yield from talk.after(500, "\x82")
@@ -299,6 +309,7 @@ def test_byte_sent_as_utf_8_acts(converse: Any) -> None:
     """Some senders encode the byte 0x85, jog cancel, as UTF-8: 0xC2 0x85. It ends the jog."""
 
     def steps(talk: Talk) -> Steps:
+        """Cancel a jog by 0xC2 0x85: the byte 0x85, encoded as UTF-8."""
         yield from talk.ask(_FAST)
         yield from talk.ask("$J=X50F1200\n", "ok")
         yield from talk.after(500, "\xc2\x85")
@@ -314,6 +325,7 @@ def test_stop_ends_motion_and_keeps_the_position(lines: str, converse: Any) -> N
     """grblHAL's stop, 0x19, decelerates, then resets: no alarm, spindle off, idle."""
 
     def steps(talk: Talk) -> Steps:
+        """Stop (0x19) after 0.5 s; the position is the same 0.5 s later."""
         yield from talk.ask(_FAST + "M3S500\n")
         yield from talk.ask(lines, "ok")
         assert (yield from talk.after(500, "\x19")) == [_WELCOME]
@@ -331,6 +343,7 @@ def test_stop_while_idle_ends_a_hold_and_check_mode(converse: Any) -> None:
     """The stop is 0x19; nothing moves here, so no deceleration precedes its reset."""
 
     def steps(talk: Talk) -> Steps:
+        """Stop (0x19) in a hold, then in check mode."""
         yield from talk.after(60, "!")
         yield from talk.after(60, "\x19")
         assert (yield from talk.ask("?", "report"))[-1].startswith("<Idle")
@@ -346,6 +359,7 @@ def test_stop_ends_homing_at_once(converse: Any) -> None:
     once, and the position is lost as by a reset (alarm 6)."""
 
     def steps(talk: Talk) -> Steps:
+        """Stop (0x19) 0.1 s after $H: the motors stop at once, then the machine resets."""
         yield from talk.ask(_FAST)
         yield from talk.after(300, "$22=1\n")
         yield from talk.after(100, "$H\n")
@@ -362,6 +376,7 @@ def test_stop_ends_parking_at_once(converse: Any) -> None:
     """The stop (0x19) comes while the spindle is retracted after the door (0x84) has opened."""
 
     def steps(talk: Talk) -> Steps:
+        """Open the door (0x84) with parking; stop (0x19) while the spindle is retracted."""
         yield from talk.ask(_FAST)
         yield from talk.after(300, "$22=1\n$132=200\n")
         yield from talk.ask("M3S500G0Z-90\n", "idle")  # deep, so that parking takes long
@@ -379,6 +394,7 @@ def test_stop_ends_jogs_that_are_still_waiting(converse: Any) -> None:
     """Of 30 jogs of 1 mm, some are in the planner and some unread when the stop (0x19) comes."""
 
     def steps(talk: Talk) -> Steps:
+        """Send 30 jogs of 1 mm; stop (0x19) after 3 s; nothing moves afterwards."""
         yield from talk.ask(_FAST)
         yield from talk.ask("$J=G91X1F500\n" * 30, "ms 2000")
         yield from talk.after(1000, "\x19")
@@ -395,6 +411,7 @@ def test_gsender_stops_a_job_by_force(converse: Any) -> None:
     """It sends a stop (0x19) and a hold at once, then a reset: idle, with no further output."""
 
     def steps(talk: Talk) -> Steps:
+        """Stop and hold (0x19, !), then reset (0x18): idle, and no more output."""
         yield from talk.ask(_FAST)
         yield from talk.ask("G1X50F1200\n", "ok")
         yield from talk.after(700, "\x19!")
@@ -409,6 +426,7 @@ def test_reset_during_a_stop_is_one_reset(converse: Any) -> None:
     """With 5 mm/s2 the stop (0x19) decelerates for seconds. A reset within them is sent."""
 
     def steps(talk: Talk) -> Steps:
+        """Reset (0x18) while a stop (0x19) decelerates with 5 mm/s2: one welcome."""
         yield from talk.ask("$110=6000\n$120=5\n")
         yield from talk.ask("G1X50F1200\n", "ok")
         yield from talk.after(3000)
@@ -426,6 +444,7 @@ def test_gsender_unlocks(together: bool, converse: Any) -> None:
     """
 
     def steps(talk: Talk) -> Steps:
+        """Unlock after a reset that needs homing; the stop (0x19) must not lock again."""
         yield from talk.ask("$22=1\n")
         yield from talk.after(100, "\x18")
         if together:
@@ -443,6 +462,7 @@ def test_full_report_names_the_alarm(converse: Any) -> None:
     """The failed probing move is alarm 5. The full report (0x87) has its number, ? has not."""
 
     def steps(talk: Talk) -> Steps:
+        """A probing move with nothing to touch is alarm 5: read it, unlock, read again."""
         yield from talk.ask("$21=1\n")
         yield from talk.ask("G38.2X1F100\n", "ok")
         (report,) = yield from talk.ask("\x87", "report")
@@ -462,6 +482,7 @@ def test_network_client_gets_the_welcome_of_grblhal(monkeypatch: Any) -> None:
     bench = NetBench(monkeypatch, board=board(LINK="wifi"))
 
     def script(bench: Any) -> Iterator[Any]:
+        """Connect two clients; the second one requests a full report."""
         one, two = bench.call(), bench.call()
         yield from connected(bench, one, f"\r\n{_WELCOME}\r\n")
         yield from connected(bench, two, f"\r\n{_WELCOME}\r\n")
@@ -501,6 +522,7 @@ def test_default_dialect_has_none_of_it() -> None:
     sender = Sender(rig)
 
     def script() -> Steps:
+        """Send grblHAL's bytes, which get no answer, and commands, which are refused."""
         sender.allow(_PATIENCE_MS)
         yield from sender.wait("banner", "")
         sender.take()

@@ -43,6 +43,7 @@ def talk(on: Machine, script: "Sequence[object]") -> "list[str]":
     said: "list[str]" = []
 
     def play() -> "Iterator[Any]":
+        """Go through the script; see talk()."""
         yield from on.start()
         for each in script:
             if isinstance(each, str):

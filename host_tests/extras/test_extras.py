@@ -39,6 +39,7 @@ class Bench:
         said: list[list[str]] = []
 
         def script() -> Iterator[Any]:
+            """Wait for the welcome, then send each text and store its replies."""
             yield from self.sender.wait("banner", "")
             self.sender.take()
             for text, how in talk:
@@ -100,6 +101,7 @@ def test_check_mode_checks_and_does_nothing(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_g_word_may_have_a_decimal(monkeypatch: pytest.MonkeyPatch) -> None:
+    """G81 and G81.1 are different words, each with its handler."""
     heard: list[Any] = []
 
     def install(cnc: Cnc) -> None:
@@ -114,6 +116,7 @@ def test_words_and_bytes_of_grbl_cannot_be_taken(monkeypatch: pytest.MonkeyPatch
     """Grbl uses M3, G0, G80, G92, byte 0x84 and the letter A; install() has added M100 and G86."""
 
     def install(cnc: Cnc) -> None:
+        """Add M100 and cycle G86; then adding anything in use must fail."""
         cnc.add_m(100, print)
         cnc.add_cycle(86, _bore)
         for add in (
@@ -138,6 +141,8 @@ def test_handler_may_refuse_and_is_ended_by_a_reset(monkeypatch: pytest.MonkeyPa
     reports, and a reset ends it."""
 
     def install(cnc: Cnc) -> None:
+        """Add M100: P0 is refused, others wait for ever."""
+
         def wait(p: float) -> None:
             if p == 0:
                 raise GrblError(errors.NEGATIVE_VALUE)
@@ -192,6 +197,8 @@ def test_cycle_numbers_are_restored_after_a_with_statement(
         return [(target, False)]
 
     def install(cnc: Cnc) -> None:
+        """Add cycle G86, and M100, which executes a G86 with other numbers."""
+
         def deeper() -> None:
             with ModalState(cnc.machine, standard=False, blocks=[]):
                 cnc.machine.state.hooks.execute(bytearray(b"G86X0Z-9R1\0"), 10)
@@ -244,6 +251,7 @@ def test_refused_line_of_a_cycle_changes_nothing(
 
 
 def test_setting_is_stored_with_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An extra adds $40, named "level", with the default 5. It is stored with Grbl's settings."""
     bench = Bench(monkeypatch, lambda cnc: cnc.add_settings(((40, "level", INT, 5, "percent"),)))
     assert "$40=5" in bench.say(("$$\n", "ok"))[0]
     assert bench.say(("$40=7\n", "ok"), ("$$\n", "ok"))[1].count("$40=7") == 1

@@ -23,11 +23,10 @@ from ugrbl.sim.engine import Switch
 # Many cases: the first ring runs a sample of them.
 pytestmark = pytest.mark.sampled(2)
 
-_STEPS_PER_MM = 250
+_STEPS_PER_MM = 250  # of the board sim
 _PULL_OFF_MM = 1
-# Steps from power-up to the switches, which are at the upper ends.
-_AT = 800
-_DEAD = 1 << 28
+_AT = 800  # steps from power-up to the switches, which are at the upper ends
+_DEAD = 1 << 28  # steps: a switch that is never reached
 _GANTRIES = int(os.environ.get("UGRBL_TORTURE", "40"))
 SETTINGS = {
     1: 255,
@@ -195,6 +194,7 @@ def test_repeated_homing_racks_no_further() -> None:
     gantry = Gantry(0, {}, {"limit_y2": _DEAD})
 
     def script() -> Any:
+        """Home four times, each with an alarm, and move Y back in between."""
         yield from gantry.start()
         for _ in range(4):
             gantry.rig.link.send(b"$H\n")
@@ -225,6 +225,7 @@ def test_false_switch_signal_leaves_no_rack(ms: int) -> None:
     gantry = Gantry()
 
     def script() -> Any:
+        """Home, and close Y's second switch for 2 ms at the time `ms`."""
         yield from gantry.start()
         gantry.rig.link.send(b"$H\n")
         yield gantry.rig.ms(ms)  # Y is homed in this time

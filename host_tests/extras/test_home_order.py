@@ -10,8 +10,8 @@ from ugrbl.boardfile import board_check
 from ugrbl.boardfile.files import load_board
 from ugrbl.sim.engine import Switch
 
-_AT = 800
-_PER_MM = 250
+_AT = 800  # steps from power-up to each switch
+_PER_MM = 250  # steps
 _MANY = 10  # steps of a row, for a rate
 _SETTINGS = {
     22: 1,
