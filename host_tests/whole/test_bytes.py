@@ -70,9 +70,9 @@ def test_files_that_are_not_jobs_are_left_alone(tmp_path: Path) -> None:
         Path(os.fsdecode(os.path.join(os.fsencode(tmp_path), name))).write_bytes(b"G21\n")
     (tmp_path / "CUT.NC~NEW").write_bytes(b"G2")
     files = JobFiles(str(tmp_path))
-    files.connect(None, None)  # type: ignore[arg-type]
+    files.connect(None, None)  # type: ignore[arg-type]  # without a store and a link
     assert files.files() == []
-    file = files.begin("A.NC")
+    file = files.begin("A.NC")  # an upload begins: rests of earlier ones are removed
     files.append(file, b"G20\n")
     files.drop("A.NC", file)
     names_after = set(os.listdir(os.fsencode(tmp_path)))

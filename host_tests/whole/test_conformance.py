@@ -144,7 +144,7 @@ _FAULTS: "dict[str, Callable[[Any], bool]]" = {
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("fault", _FAULTS)
 def test_a_machine_with_a_fault_fails(fault: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Replay on a machine that has the fault: every case that shows it must fail.
+    """Replay on a machine that has the fault: every case that can show it must fail.
 
     So no tolerance of the judge hides it. _FAULTS: which cases show a fault.
     """
@@ -154,7 +154,7 @@ def test_a_machine_with_a_fault_fails(fault: str, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setenv("UGRBL_FAULT", fault)
 
     def choose(rows: list[Any]) -> list[Any]:
-        # row[1] is the case; 4 of those that show the fault are enough.
+        # row[1] is the case; 4 of those that can show the fault are enough.
         showing = rings.sample([row for row in rows if _FAULTS[fault](row[1])], 4, 4)
         return showing[:: max(1, len(showing) // 20)]  # without answers each case waits long
 
@@ -228,11 +228,12 @@ def test_motors_are_on_as_recorded(
 @pytest.mark.parametrize(
     ("line", "moving", "motors_off", "wrong"),
     [
+        # The pin is switched on in step 0; the recording has no change at all.
         ("G1X0.01F7\n", (True, True, True), None, []),
         ("G93G1X0.1F60\n", (True, True, False), 2, []),
         ("G1X0.01F8\n", (True, True, True), None, [0, 1, 2]),  # fast enough for Grbl
-        ("G1X0.01F7\n", (True, False, False), None, [1, 2]),
-        ("$H\n", (True, True, True), None, [0, 1, 2]),
+        ("G1X0.01F7\n", (True, False, False), None, [1, 2]),  # still on after the motion
+        ("$H\n", (True, True, True), None, [0, 1, 2]),  # not a slow line
     ],
 )
 def test_motors_stay_on_during_motion_slower_than_grbls(

@@ -83,7 +83,7 @@ def test_every_command_and_byte_is_in_the_reference():
     from base import state
     from control import overrides, realtime
 
-    letters = [command[1] for command in words.commands()]
+    letters = [command[1] for command in words.commands()]  # of "$G" and the others
     assert len(letters) == 10
     assert [letter for letter in letters if f"`${letter}" not in reference()] == []
     numbers = [realtime._SOFT_RESET, *state.EVENTS, *overrides._OVERRIDES]

@@ -122,7 +122,7 @@ def test_a_failing_turn_stops_the_tool_then_the_motors_and_is_reported(
     """An exception in the engine's timer function, a "turn", which also calls on_poll."""
     made = make(engine, "fast")
     real = made.engine.real
-    order: list[str] = []  # what has been stopped_us
+    order: list[str] = []  # what has been stopped, in this order
     halt = real._halt  # stops the motors
     real._halt = lambda: (order.append("motors"), halt())
     real.on_fault = lambda: order.append("tool")
@@ -134,7 +134,7 @@ def test_a_failing_turn_stops_the_tool_then_the_motors_and_is_reported(
             raise ValueError("an error that is ok")
 
     real.on_poll = fail_once
-    made.run(20)
+    made.run(20)  # ms
     stopped_us = made.engine.now * made.us
     assert order == ["tool", "motors"] and not made.engine.idle()  # until stop()
     message = made.engine.fault().lower()
@@ -181,12 +181,13 @@ def test_a_failure_during_fault_handling_does_not_prevent_the_stop(
         called.append(what_fails)
         raise OSError(5)
 
+    # Replace all three by functions that only note the call; then one by fail().
     for name in ("on_fault", "_halt", "on_poll"):
         setattr(real, name, lambda name=name: called.append(name))
     setattr(real, what_fails, fail)
     real._advance = fail  # the first failure: this is called in each turn
     made.engine.start()
-    made.run(10)
+    made.run(10)  # ms
     assert {"on_fault", "_halt"} <= set(called)
     assert "OS" in made.engine.fault()
 
@@ -230,7 +231,7 @@ def test_interrupts_delayed_by_a_collection_come_late_and_lose_nothing(
     made = make(engine, "diagonal")
     made.engine.start()
     for _ in range(4):
-        made.run(90)
+        made.run(90)  # ms
         clock.work(away_ms * 1000)  # the collection: no interrupt is served
     made.run()
     assert made.position() == made.places() == [1500, 1075, -425]
@@ -253,7 +254,7 @@ def test_rmt_never_plays_more_than_a_channel_holds(engine: str) -> None:
     made.bench.line((20.0, 20.0, -7.0), 60_000.0)
     made.engine.start()
     while not made.engine.idle():
-        made.run(chance.uniform(5, 30))
+        made.run(chance.uniform(5, 30))  # ms
         for channel in esp32.RMT.channels:
             channel.flash_write(chance.randrange(20_000))  # us without interrupts
     assert made.places() == made.position() == [8000, 8000, -2800]  # 400 steps/mm
@@ -269,7 +270,7 @@ def test_rmt_disconnects_the_pins_while_the_channels_continue(engine: str) -> No
     """A train of pulses cannot be cut off in the channel, so stop() routes the pins elsewhere."""
     made = make(engine, "fast")
     made.engine.start()
-    made.run(100)
+    made.run(100)  # ms
     made.engine.stop()
     stopped_us = clock.us
     # A train is (start us, level, durations, end us): some channel plays 1.5 ms longer.
@@ -284,7 +285,7 @@ def test_rmt_waits_for_the_end_of_disconnected_trains(engine: str) -> None:
     """New motion right after a stop must not begin with what a channel still plays."""
     made = make(engine, "fast")
     made.engine.start()
-    made.run(100)
+    made.run(100)  # ms: trains are being played
     made.engine.stop()
     made.engine.arm()
     before = made.places()

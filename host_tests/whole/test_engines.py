@@ -151,6 +151,7 @@ def _play_words(bench: Bench, us: float) -> "list[Step]":
     timing = array("i", [0] * pulses.TIMING_LENGTH)
     timing[pulses.AXES] = axes
     pulses.set_timing(timing, pulse=125, hold=25, setup=63)  # ticks: 10, 2, and 5 us
+    # Of each motor: the state of the conversion, with HEAD, where the next word goes; and words.
     lanes = array("i", [0] * (pulses.LANE * axes))
     words = array("i", [0] * (axes << pulses.RING_LOG2))
     whole = array("i", [0] * row_length(axes))
@@ -471,6 +472,7 @@ def test_a_hold_comes_to_rest_within_the_stated_time_and_loses_nothing(engine: s
     assert made.position() == steps_at_rest
     brake_ms = 15.0 / 200.0 * 1000  # speed / acceleration
     last_step_us = max(us for us, *_ in made.steps)
+    # 60 % more than the shortest braking, and the motion that the engine holds already.
     assert last_step_us - asked_us <= (brake_ms * 1.6 + STATED[engine].hold_ms) * 1000
     made.bench.segments.hold(False)
     made.go()
@@ -486,7 +488,7 @@ def test_power_is_reported_with_the_segments(engine: str) -> None:
 
     def with_power(row: "array[int]") -> int:
         has_row = next_segment(row)
-        row[ROW_POWER] = next(powers) // 4
+        row[ROW_POWER] = next(powers) // 4  # 0, 0, 0, 1, 1, 1, 1, 2 …
         return has_row
 
     made.engine.attach(with_power, made.powers.append, made._rest)
@@ -522,7 +524,7 @@ def test_power_after_motion_is_the_last_segments(engine: str) -> None:
         made.go()
         assert made.powers[-1] == powers[-1]
         reports = len(made.powers)
-        made.engine.advance(made.engine.now + int(100_000 / made.us))
+        made.engine.advance(made.engine.now + int(100_000 / made.us))  # 100 ms
         assert len(made.powers) == reports
 
 
@@ -622,6 +624,7 @@ def test_i2s_keeps_the_setup_time_after_it_has_run_empty(late_us: int) -> None:
     made.engine.stop()
     made.run(1)
     for levels in made.engine.pins.levels:
+        # us: directions, lost when the stream runs empty, are set long before steps go on.
         assert levels.shortest_setup >= 1000
     assert all(sign < 0 for _, _, sign in made.steps)
 
@@ -643,23 +646,23 @@ def test_i2s_loses_nothing_after_an_underrun() -> None:
 def test_i2s_drives_the_motors_enable_outputs() -> None:
     """A board may have several drivers' enable outputs: all follow enable().
 
-    They reach the pins with the stream, within 200 ms.
+    They reach the pins with the stream, within 100 ms. A tick is half a microsecond.
     """
     made = Made("i2s", Limits())
     enables = sum(1 << output for output in I2S_ENABLE)
     made.engine.real.enable(1)
-    made.engine.advance(made.engine.now + 200_000)
+    made.engine.advance(made.engine.now + 200_000)  # 100 ms
     assert made.engine.pins.outputs() & enables == enables
     made.engine.real.enable(0)
-    made.engine.advance(made.engine.now + 100_000)
+    made.engine.advance(made.engine.now + 100_000)  # 50 ms
     assert made.engine.pins.outputs() & enables == 0
 
 
 def test_i2s_reaches_its_highest_rate() -> None:
     """A step every three frames of 8 us, or 41,667 a second: nothing is late, nothing is lost."""
-    limits = Limits((400.0,) * 3, (60_000.0,) * 3, (5000.0,) * 3)
+    limits = Limits((400.0,) * 3, (60_000.0,) * 3, (5000.0,) * 3)  # steps/mm, mm/min, mm/s²
     made = Made("i2s", limits)
-    made.bench.line((40.0, 20.0, 0.0), 60_000.0)
+    made.bench.line((40.0, 20.0, 0.0), 60_000.0)  # mm; mm/min, faster than the engine can
     made.go()
     assert made.places() == made.position() == [16_000, 8000, 0]  # 400 steps/mm
     steps_us = [us for us, _ in of_axis(made.steps, 0)]
@@ -709,7 +712,7 @@ def on_engine(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -
         def __new__(cls, axes: int, _depth: int) -> Any:
             return EspEngine(name, axes)
 
-    replay.factory_store(load_board("sim"))
+    replay.factory_store(load_board("sim"))  # simulates a first start once, with SimEngine
     monkeypatch.setattr(sim_rig, "SimEngine", Engine)
     return name
 
@@ -730,7 +733,7 @@ def test_recorded_motion_is_repeated(path: Path, on_engine: str) -> None:
     wrong = judge_motion(record, observed, [])
     stops = bool(record.get("events_ms_after_first_step") or record.get("switches"))
     if stops:
-        # The reaction time depends on the engine: Grbl's is 45 ms.
+        # The reaction to an event depends on the engine (Grbl's takes 45 ms), and so do these.
         ignored = ("duration", "peak rate", "not at rest", "net_steps", "pulses", "final")
         wrong = [text for text in wrong if not text.startswith(ignored) and " at " not in text]
     assert not [text for text in wrong if not _near_peak(text, _PEAK[on_engine])]

@@ -257,7 +257,7 @@ class Trial:
         """Send a line (a reset without line end), and wait up to 2 s for a line with this
         beginning."""
         rig, machine = self.machine.rig, self.machine
-        machine.take()
+        machine.take()  # lines from before do not count
         rig.link.send(line.encode("latin-1") + (b"" if line == "\x18" else b"\n"))
         until = rig.ms(2000)
         received: list[str] = []

@@ -400,7 +400,9 @@ def test_a_reset_in_motion_keeps_the_steps_made() -> None:
 
 def test_a_reset_restores_overrides() -> None:
     """The same moves, after a reset and from the start, have as many pulses and take as long."""
-    waiting = ["G4P9", "(" + 118 * "-" + ")"]  # the next lines are not sent before the reset
+    # A dwell of 9 s, and a comment that fills the buffer of 128 bytes: the moves are not sent
+    # before the reset.
+    waiting = ["G4P9", "(" + 118 * "-" + ")"]
     spans = []
     # At 100 ms: feed three times -10 %, rapids 25 %. At 300 ms: the reset.
     for before, events in ((waiting, [(100, "\x92\x92\x92\x97"), (300, "\x18")]), ([], [])):
@@ -438,7 +440,7 @@ def test_a_switch_that_bounces_changes_at_every_step_of_its_bounces() -> None:
     switch = Switch("probe", axis=0, above=True, steps=10, bounces=2)
     closed = [switch.closed(steps) for steps in range(8, 17)]
     assert closed == [False, False, True, False, True, False, True, True, True]
-    at, changes = 0, []
+    at, changes = 0, []  # from step 0 to step 20
     while switch.crossing(at, 20):
         at += switch.crossing(at, 20)
         changes.append(at)

@@ -98,11 +98,11 @@ def board(*extras: str) -> ModuleType:
     if words.pop("second", ""):
         options["MOTORS"] = motors
     if words.pop("shared", False):
-        options["LIMIT"] = (0, 1, 1, *options["LIMIT"][3:])
+        options["LIMIT"] = (0, 1, 1, *options["LIMIT"][3:])  # pins of X, Y, Z
     if words.pop("drivers", False):
         options.update(TMC2209=tuple(range(len(motors))), TMC_UART=(8, 9))
     if words.get("KINEMATICS"):
-        words["defaults"] = {**_PLOTTER.DEFAULTS, 20: 0, 22: 0}
+        words["defaults"] = {**_PLOTTER.DEFAULTS, 20: 0, 22: 0}  # no soft limits, no homing
     if words.get("TOOL") == "punch":
         options.update(_PUNCH)
     options["DEFAULTS"] = words.pop("defaults")
@@ -117,6 +117,7 @@ class Bench:
         """Power the machine up, and have the conversation."""
         made = board(*extras)
         self.rig: Any = None
+        # MicroPython's clock, which some extras read, is the machine's.
         patch.setattr(time, "ticks_ms", self._now_ms, raising=False)
         patch.setattr(time, "ticks_diff", lambda one, other: one - other, raising=False)
         Pin(_GOOD_PIN).drive(0)  # for the extra power_fail
@@ -220,6 +221,7 @@ def place_of_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(_EXAMPLES))
     monkeypatch.syspath_prepend(str(tmp_path))
     sys.modules.pop(_CUSTOM, None)
+    # A custom module with M100.
     text = "from ugrbl import mcode\n\n@mcode(100)\ndef word(m):\n    m.say('here')\n"
     (tmp_path / f"{_CUSTOM}.py").write_text(text)
     (tmp_path / "jobs").mkdir()

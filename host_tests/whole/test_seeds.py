@@ -532,7 +532,7 @@ def _say(rig: Rig, sender: Sender, text: str) -> "Iterator[Any]":
     """Send one text of a promise, or do what it says, and wait as long as this kind needs."""
     if text == "power":
         rig.cycle_power()
-        yield rig.now
+        yield rig.now  # let the machine run again
         yield from sender.wait("banner", "")
     elif text.startswith("pin "):
         rig.port.push({text[4:]: True})

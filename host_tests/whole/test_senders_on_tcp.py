@@ -69,7 +69,8 @@ class Wire:
         return True
 
     def ask(self, line: bytes, seconds: float) -> list[str]:
-        """Send a line; return the lines up to its answer (ok or error:9), within this time."""
+        """Send a line; return the lines up to its answer (ok; error:9: locked), within this
+        time."""
         before = len(self.lines)
         self.send(line)
         assert self.listen(seconds, lambda: self.lines[before:][-1:] in (["ok"], ["error:9"]))

@@ -201,7 +201,7 @@ def _released_ms(bench: Bench) -> Iterator[Any]:
     yield bench.rig.moving  # wait until this is true
     yield lambda: not bench.rig.moving()
     stopped = bench.rig.now
-    yield lambda: bench.port.enable_pin == 1
+    yield lambda: bench.port.enable_pin == 1  # until they are disabled
     released = bench.rig.now
     yield from bench.say("G91G0Z-0.1\n")
     return 5 * round((released - stopped) / _TICKS_PER_MS / 5)
@@ -221,7 +221,10 @@ def _pins(bench: Bench) -> Iterator[Any]:
 
 
 def _probing(bench: Bench) -> Iterator[Any]:
-    """Probe 0.2 mm without contact; return (alarm or "", steps made): inverted, it is closed."""
+    """Probe 0.2 mm without contact; return (alarm or "", steps made).
+
+    An input inverted by $6 counts as closed, and probing ends at once with an alarm.
+    """
     before = bench.place()[2]
     lines = yield from bench.say("G91G38.3Z0.2F300\n")
     alarm = lines[0] if lines[0].startswith("ALARM") else ""
@@ -249,7 +252,7 @@ def _decimals(bench: Bench) -> Iterator[Any]:
 
 
 def _corners_ms(bench: Bench) -> Iterator[Any]:
-    """Return the duration of twelve moves with right angles in between, to 100 ms."""
+    """Return the duration of twelve moves with right angles in between, to 100 ms: see $11."""
     corners = ["G91G1X0.2F500", "Y0.2", "X-0.2", "Y-0.2"] * 3
     yield from bench.move(*corners)
     (start, _), (last, row) = bench.rows[0], bench.rows[-1]
@@ -257,7 +260,7 @@ def _corners_ms(bench: Bench) -> Iterator[Any]:
 
 
 def _roundness_mm(bench: Bench) -> Iterator[Any]:
-    """Return how near its centre, in mm, the chords of a circle of 1 mm radius come."""
+    """Return how near its centre, in mm, the chords of a circle of 1 mm radius come: see $12."""
     yield from bench.move("G91G2X0Y0I1F500")
     x = y = 0.0
     nearest = 1.0
@@ -587,7 +590,7 @@ def test_only_inches_cause_a_report_of_the_work_offset(change: str, asks: bool) 
 
     def script() -> Iterator[Any]:
         """Ask for reports until WCO is not due, change the setting, and look for WCO again."""
-        for _ in range(2):
+        for _ in range(2):  # with WCO and Ov
             yield from bench.report()
         assert "WCO" not in (yield from bench.report())
         yield from bench.change(change)

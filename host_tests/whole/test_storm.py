@@ -187,6 +187,7 @@ def test_a_storm_on_any_interrupting_pin_starves_nothing(made: Machine) -> None:
             effects,
         )
         assert effects["most a ms"] <= MOST_A_MS[made.engine], (pin, shape, effects)
+        # Another interrupt, of the engine or a timer, waits for 1.6 ms at most.
         assert effects["late us"] <= 1_600, (pin, shape, effects)
         assert effects["turns"] >= FEWEST_TURNS[made.engine], (pin, shape, effects)
 
@@ -242,7 +243,7 @@ def test_the_supervisor_stops_a_main_loop_hanging_in_a_storm(
 ) -> None:
     """The supervisor's timer stops the machine when the main loop has not returned for 250 ms.
 
-    It is driven by hand here, with the laser on and a storm of 260 ms on one pin.
+    The main loop does not run here; the laser is on, and a storm of 260 ms is on one pin.
     """
     monkeypatch.setattr(supervisor, "sys", SimpleNamespace(platform="rp2"))
     stopped: dict[int, tuple[int, int, int]] = {}
@@ -251,14 +252,14 @@ def test_the_supervisor_stops_a_main_loop_hanging_in_a_storm(
         """Return how long the loop was away when stopped, in ms; the laser's output before and
         after."""
         link: Any = SimpleNamespace(shared=array("i", [0, 0, 0]), poll_reset=None)
-        watch = supervisor.Supervisor(link, pico.rig.engine, pico.port, 250)
+        watch = supervisor.Supervisor(link, pico.rig.engine, pico.port, 250)  # ms
         watch.start(None, lambda alarm: None)
         pico.listen()
-        pico.port.revive()
+        pico.port.revive()  # outputs may be on again
         pico.port.spindle(True, 500)
         machine.PWM.outputs[16].wrap()  # pin 16 is the laser's: begin a new period
         laser_before = machine.Pin(16).pad()
-        pico.cpu.storm([pin], 22, 3, 260_000)
+        pico.cpu.storm([pin], 22, 3, 260_000)  # us: open, closed, duration
         watch.close()
         return link.shared[supervisor.STOP_CAUSE], laser_before, machine.Pin(16).pad()
 
@@ -320,7 +321,7 @@ def test_a_lasting_change_is_reported_2_ms_after_a_storm_and_at_once_on_other_pi
         events_us = getattr(noted, name)
         events_us.clear()
         closed_us = pico.cpu.us
-        machine.Pin(pin).drive(0)
+        machine.Pin(pin).drive(0)  # closed
         pico.cpu.run(5_000)
         machine.Pin(pin).drive(1)
         pico.cpu.run(5_000)
@@ -332,9 +333,10 @@ def test_a_lasting_change_is_reported_2_ms_after_a_storm_and_at_once_on_other_pi
         pico.port.attach(noted)
         pico.port.watch_pins(noted.on_change)
         for after_us in range(0, 2_400, 200):
+            # Both start anew: a probe is watched for one contact only.
             pico.port.enable_limits(True)
             pico.port.watch_probe(noted.on_contact, True)
-            pico.cpu.storm([machine.Pin(pin)], 17, 3, 5_000)
+            pico.cpu.storm([machine.Pin(pin)], 17, 3, 5_000)  # us: open, closed, duration
             pico.cpu.run(after_us)
             after_storm_us.append(closes())
             if other:

@@ -227,6 +227,7 @@ class Torture:
         reported = [round(mm * _STEPS_PER_MM) for mm in self.machine.reported()]
         turned = controller.settings.dir_invert
         motors = zip(self._axis_of, self.machine.physical(), strict=True)
+        # Motors turn the other way on axes in $3.
         made = [(axis, -steps if turned >> axis & 1 else steps) for axis, steps in motors]
         offset = [reported[axis] - steps for axis, steps in made]
         if self._offset is not None and turned == self._turned:
@@ -253,7 +254,7 @@ class Torture:
 
 
 def _board(motors: str) -> ModuleType:
-    """Return the simulator's board with these motors."""
+    """Return the simulator's board with these motors: a letter, the axis, for each."""
     board = ModuleType("torture")
     vars(board).update(vars(load_board("sim")))
     # Numbers of pins are enough for the simulator.
@@ -272,7 +273,10 @@ def _most_apart(one: "list[int]", other: "list[int]") -> int:
 def test_a_tortured_machine_answers_keeps_its_position_and_recovers(
     seed: int, motors: str, engine: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """seed: of the random numbers; motors: a letter for each; an engine of the ESP32, or sim."""
+    """Torture checks all this itself. motors: a letter, the axis, for each.
+
+    engine: the simulator's, or one of the ESP32, whose position may be off by a step after a stop.
+    """
     if engine != "sim":
         _have_engine(engine, monkeypatch)
     Torture(seed, motors, 0 if engine == "sim" else _LOOSE).run()
