@@ -6,6 +6,10 @@ whole result; checked() does the same for `custom check`. Files of a user: VACUU
 which switches the output "vacuum" and reports "vacuum P Q"; CHANGE has a tool change that goes to
 X3 Y39, asks for the tool, and probes down to Z-42; FEEDER has M101, which waits until the input
 "part" closes and opens; FAILING has M102 P, which divides by P - 1.
+
+`shelf` is a scripted board at the port x: `disk` has its files, `log` what was done to it, `board`
+the options of its board file, `says` what its machine reports at the next start. editor() sets
+$EDITOR to a script that changes a file.
 """
 
 import json

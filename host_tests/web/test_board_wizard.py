@@ -34,7 +34,7 @@ def set_up(
 
     The person it returns is not connected yet.
     """
-    made: "list[PromptBoard]" = []
+    boards: "list[PromptBoard]" = []
 
     def make(has: str = "frozen", board: str = "", **options: Any) -> Person:
         """Open the page at a board.
@@ -48,17 +48,17 @@ def set_up(
             (flash / "board.py").write_text(board)
         person = person_at(**options)
         spare_machine = machines({})  # starts while the person reads
-        made.append(
+        boards.append(
             PromptBoard(
                 flash, lambda: spare_machine if spare_machine.is_new() else machines({}), has
             )
         )
-        person.bridge.machine = made[0]  # type: ignore[assignment]
+        person.bridge.machine = boards[0]  # type: ignore[assignment]
         person.open_from_disk()
         return person
 
     yield make
-    for one in made:
+    for one in boards:
         one.close()
 
 
@@ -296,7 +296,7 @@ _MARKED = """(() => {
 def test_fault_is_shown_with_its_line(editor, text, line, words):
     """The faulty line is named and selected.
 
-    A file that Python cannot read does not replace the old one.
+    A file that fails in Python does not replace the old one.
     """
     editor.page.fill("#board-text", text)
     editor.click("#send-board")
@@ -306,8 +306,7 @@ def test_fault_is_shown_with_its_line(editor, text, line, words):
     # Lines are counted from 1.
     assert marked == text.split("\n")[line - 1]
     stored_text = (flash_of(editor) / "board.py").read_text()
-    # Python cannot read the first two texts; the third is valid Python with options that exclude
-    # each other.
+    # The first two texts fail in Python; the third runs, but its options exclude each other.
     assert stored_text == (_PICO if "Error" in words else text), (
         "what Python does not take is not kept"
     )

@@ -153,6 +153,7 @@ def _is_in(before: list[str], line: str, x: float, y: float) -> bool:
     `before` are the lines before it, each `G1 X<mm>` or `G1 Y<mm>`.
     """
     start_mm = {"X": 0.0, "Y": 0.0}
+    # Of `G1 X12` [3] is the axis and [4:] the position in mm.
     start_mm.update({word[3]: float(word[4:]) for word in before})
     axis, end_mm = line[3], float(line[4:])
     along_mm, across_mm, other_axis = (x, y, "Y") if axis == "X" else (y, x, "X")

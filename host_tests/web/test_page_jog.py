@@ -144,9 +144,8 @@ def test_machine_follows_dragged_tool_and_stays_there(person):
     target_mm = person.page.evaluate("plot.target")
     person.waits("grbl.state === 'Idle'")
     assert person.machine.report()[1][:2] == pytest.approx(target_mm, abs=0.02)
-    person.page.mouse.move(
-        *tool_on_screen(person)
-    )  # the pointer goes back to the tool, still pressed
+    # The pointer goes back to the tool, still pressed.
+    person.page.mouse.move(*tool_on_screen(person))
     jogs_before = len(jogs(person))
     # 5 mm to the right and down: Y decreases.
     person.page.mouse.move(*[px + 5 * px_per_mm(person) for px in tool_on_screen(person)])
@@ -163,11 +162,11 @@ def test_release_of_dragged_tool_stops_jog(person):
     drags_tool(person, 40, 0)
     person.waits("grbl.machine[0] > 3")
     person.page.mouse.up()
-    x = person.machine.report("Idle")[1][0]
-    assert 3 < x < 20
+    x_mm = person.machine.report("Idle")[1][0]
+    assert 3 < x_mm < 20
     assert set(sent_at_once(person.machine)) == {0x85}
     person.pauses(0.3)
-    assert person.machine.report()[1][0] == x
+    assert person.machine.report()[1][0] == x_mm
 
 
 def test_jog_to_dragged_tool_stops_by_itself_when_page_sends_no_more(person):
@@ -189,7 +188,7 @@ def test_jog_to_dragged_tool_stops_by_itself_when_page_sends_no_more(person):
 
 
 def test_stop_ends_dragged_jog(person):
-    """STOP resets the machine during a drag; moving on sends no further jog."""
+    """STOP resets the machine during a drag; after it no further jog is sent."""
     person.page.fill("#jog-feed", "600")
     person.click("#drag")
     drags_tool(person, 40, 0)
@@ -197,9 +196,9 @@ def test_stop_ends_dragged_jog(person):
     person.page.keyboard.press("Escape")  # STOP
     person.sees("Alarm")
     person.page.mouse.up()
-    sent = jogs(person)
+    jogs_before = jogs(person)
     person.pauses(0.5)
-    assert jogs(person) == sent and b"\x18" in person.machine.sent
+    assert jogs(person) == jogs_before and b"\x18" in person.machine.sent
 
 
 def test_drawing_is_panned_without_motion_until_dragging_is_switched_on(person):
@@ -207,17 +206,17 @@ def test_drawing_is_panned_without_motion_until_dragging_is_switched_on(person):
 
     After #drag is switched on, dragging the tool, and only the tool, moves the machine.
     """
-    before = person.page.evaluate("plot.pixel([0, 0, 0])")
+    zero_px = person.page.evaluate("plot.pixel([0, 0, 0])")
     drags_tool(person, 10, 0)
     person.page.mouse.up()
     person.pauses(0.3)
     # Work zero is drawn elsewhere now.
-    assert person.page.evaluate("plot.pixel([0, 0, 0])") != before and not jogs(person)
+    assert person.page.evaluate("plot.pixel([0, 0, 0])") != zero_px and not jogs(person)
     person.click("#drag")
-    x, y = tool_on_screen(person)
-    person.page.mouse.move(x + 60, y + 60)  # not on the tool
+    x_px, y_px = tool_on_screen(person)
+    person.page.mouse.move(x_px + 60, y_px + 60)  # not on the tool
     person.page.mouse.down()
-    person.page.mouse.move(x + 90, y + 60)
+    person.page.mouse.move(x_px + 90, y_px + 60)
     person.page.mouse.up()
     person.pauses(0.3)
     assert not jogs(person)

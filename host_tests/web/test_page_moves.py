@@ -241,7 +241,6 @@ def test_leaving_page_stops_jog(person, event):
     """A held jog ends when the window loses the focus or the page is left."""
     person.press("[data-jog='X+']")
     person.sees("Jog")
-    # The page loses the focus, or is left.
     person.page.evaluate(f"dispatchEvent(new Event('{event}'))")
     stopped_at_mm = person.shown_place()
     assert 0 < stopped_at_mm[0] < 40

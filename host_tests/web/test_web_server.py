@@ -2,7 +2,8 @@
 
 site.open() connects a browser. send() sends bytes to the board, drive(True) takes control,
 told(...) waits until the server has reported these values (driver: whether this client controls;
-drivers and watchers: how many there are), wait(text) and ask(line) return what the board has
+drivers and watchers: how many there are; link: the name of the board and whether its port is open;
+job: the shared program and its progress), wait(text) and ask(line) return what the board has
 answered, leave() closes, vanish() breaks the connection as in a crash, go_deaf() stops reading. A
 `FakeBoard` records its input in `got`; say() is its output, and `stuck = True` lets it accept
 nothing. `site.log` are the lines of the server's log.
@@ -118,6 +119,7 @@ def test_lines_go_whole_and_realtime_bytes_overtake_them() -> None:
         (b"\n", False),
         (b"$G\n", False),
     ]
+    # The reset (0x18) drops G90, the line before it that has not ended.
     assert list(framing.take(b"0\x18G91\n\x85")) == [
         (b"\x18", True),
         (b"G91\n", False),
@@ -617,6 +619,7 @@ def recorded(tmp_path: Path) -> Iterator["tuple[str, Path, subprocess.Popen[str]
         [*command, "--speed", "max"], stdout=subprocess.PIPE, env=as_users(), text=True
     )
     assert process.stdout
+    # The line ends with HOST:PORT.
     place = process.stdout.readline().rpartition(" ")[2].strip()
     yield f"socket://{place}", report, process
     process.kill()

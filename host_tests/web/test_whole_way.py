@@ -114,10 +114,10 @@ def reported_steps(mechanic: Mechanic) -> "list[int]":
 def take_picture(mechanic: Mechanic, name: str, clip: "dict[str, int] | None" = None) -> None:
     """Save a picture of the page, or of the part clip, for docs/, if asked."""
     if os.environ.get("UGRBL_PICTURES"):
-        drawn, fresh = mechanic.folder / name, mechanic.folder / f"small-{name}"
-        mechanic.page.screenshot(path=drawn, clip=clip)
-        pictures.shrink(drawn, fresh, greys=True)
-        pictures.renew(fresh, pictures.FOLDER / name)
+        screenshot, small = mechanic.folder / name, mechanic.folder / f"small-{name}"
+        mechanic.page.screenshot(path=screenshot, clip=clip)
+        pictures.shrink(screenshot, small, greys=True)
+        pictures.renew(small, pictures.FOLDER / name)
 
 
 def set_up_board(mechanic: Mechanic) -> None:
