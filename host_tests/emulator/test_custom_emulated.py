@@ -26,6 +26,7 @@ def share(m, P):
 
 
 def ugrbl(*words: object) -> "subprocess.CompletedProcess[str]":
+    """Run the command `ugrbl` with these words; return its exit code and output."""
     command = [sys.executable, "-m", "ugrbl.cli", *map(str, words)]
     return subprocess.run(
         command, env={**os.environ, **_PATIENCE}, capture_output=True, text=True, check=False
@@ -33,13 +34,14 @@ def ugrbl(*words: object) -> "subprocess.CompletedProcess[str]":
 
 
 def test_file_is_pushed_runs_fails_and_is_removed(uf2: Path, tmp_path: Path) -> None:
+    """The file's M100 divides by P - 2: M100 P1 reports -1.00, M100 P2 fails in line 6."""
     board = tmp_path / "router.py"
     board.write_text(BOARD_FILE.read_text() + '\nOUTPUTS = {"vacuum": 20}\n')
     mine = tmp_path / "mine.py"
     mine.write_text(_FILE)
     with pico(uf2, tmp_path, build.for_board(board)) as port:
         with grbl(port):
-            pass
+            pass  # it has started
         done = ugrbl("custom", "push", mine, "--port", port, "--board", board)
         assert done.returncode == 0, done.stdout + done.stderr
         assert f"custom.py at {port}: M100" in done.stdout
@@ -48,22 +50,26 @@ def test_file_is_pushed_runs_fails_and_is_removed(uf2: Path, tmp_path: Path) -> 
             assert any("custom.py, line 6" in line for line in ask(machine, "M100 P2"))
             ask(machine, "$X")
         done = ugrbl("doctor", "--port", port, "--json", "-", "--no-move", "--pins", "0")
-        (found,) = [
+        (finding,) = [
             row for row in json.loads(done.stdout)["findings"] if row["what"] == "custom.py"
         ]
-        assert found["text"].startswith("M100 has failed\nTraceback")
-        assert 'File "custom.py", line 6, in share' in found["text"]
-        assert found["text"].endswith("ZeroDivisionError: divide by zero")
-        got = tmp_path / "got.py"
-        assert ugrbl("custom", "pull", got, "--port", port).returncode == 0
-        assert got.read_text() == _FILE
+        assert finding["text"].startswith("M100 has failed\nTraceback")
+        assert 'File "custom.py", line 6, in share' in finding["text"]
+        assert finding["text"].endswith("ZeroDivisionError: divide by zero")
+        pulled = tmp_path / "got.py"
+        assert ugrbl("custom", "pull", pulled, "--port", port).returncode == 0
+        assert pulled.read_text() == _FILE
         done = ugrbl("custom", "remove", "--yes", "--port", port)
         assert done.returncode == 0, done.stdout + done.stderr
         with grbl(port) as machine:
-            assert "error:20" in ask(machine, "M100 P1")
+            assert "error:20" in ask(machine, "M100 P1")  # an unknown word again
 
 
 def test_folder_replaces_a_file_and_a_folder(uf2: Path, tmp_path: Path) -> None:
+    """The board has a file that fails. A folder is pushed over it, then a changed folder.
+
+    text: the folder's b.py, with M100 first and M101 in the end.
+    """
     made = build.for_board(BOARD_FILE)
     made.files["custom.py"] = b"1 / 0\n"
     mine = tmp_path / "mine"
@@ -81,12 +87,13 @@ def test_folder_replaces_a_file_and_a_folder(uf2: Path, tmp_path: Path) -> None:
             assert done.returncode == 0, done.stdout + done.stderr
         with grbl(port) as machine:
             assert "[MSG:hello]" in ask(machine, "M101")
-        there = ugrbl("custom", "pull", tmp_path / "got", "--port", port)
-        assert there.returncode == 0, there.stderr
+        pull = ugrbl("custom", "pull", tmp_path / "got", "--port", port)
+        assert pull.returncode == 0, pull.stderr
         assert sorted(file.name for file in (tmp_path / "got").iterdir()) == ["a.py", "b.py"]
 
 
 def test_three_examples_do_what_they_say(uf2: Path, tmp_path: Path) -> None:
+    """talks: per example, lines to send and words that must be among their answers."""
     board = tmp_path / "router.py"
     pins = 'OUTPUTS = {"air": 20, "lamp": 21, "fan": 26}\nINPUTS = {"part": 27, "door": 28}\n'
     board.write_text(BOARD_FILE.read_text() + "\n" + pins)
@@ -118,8 +125,10 @@ def test_three_examples_do_what_they_say(uf2: Path, tmp_path: Path) -> None:
             done = ugrbl("custom", "push", file, "--port", port, "--board", board)
             assert done.returncode == 0, done.stdout + done.stderr
             with grbl(port) as machine:
-                for line, answers in talk.items():
-                    heard = ask(machine, line)
-                    assert [said for said in answers if said not in heard] == [], (line, heard)
+                for line, expected in talk.items():
+                    answers = ask(machine, line)
+                    missing = [answer for answer in expected if answer not in answers]
+                    assert missing == [], (line, answers)
                 reports = [line for line in ask(machine, "?") if line[0] == "<"]
+        # The last example, counter: 1 part is made (M2 after M121, which sets 0), 2 are wanted.
         assert "|Pn:1,2" in reports[-1]

@@ -31,7 +31,7 @@ _FREE_BYTES = 30_000
 
 @contextmanager
 def pico(uf2: Path, folder: Path, files: "build.Build | None" = None) -> "Iterator[Path]":
-    """Start a board with these files; yield its port."""
+    """Start a board with these files, or with none; yield its serial port."""
     link, there = folder / "pico", folder / "there"
     there.mkdir()
     if files:
@@ -50,7 +50,7 @@ def pico(uf2: Path, folder: Path, files: "build.Build | None" = None) -> "Iterat
 
 
 def deploy(port: Path, board: Path = BOARD_FILE, *words: str) -> "tuple[int, Any]":
-    """Deploy; return exit code and result."""
+    """Run `ugrbl deploy` with these further words; return its exit code and its JSON result."""
     command = [sys.executable, "-m", "ugrbl.cli", "deploy", "--board", str(board)]
     command += ["--port", str(port), "--json", "-", *words]
     done = subprocess.run(
@@ -68,7 +68,7 @@ def mpremote(port: Path, *words: str) -> str:
 
 @contextmanager
 def grbl(port: Path) -> "Iterator[Connection]":
-    """Connect to the machine after it has started."""
+    """Yield a connection to the machine, after its first status report."""
     connection = Connection(str(port))
     try:
         assert connection.wait_for(lambda line: line.startswith("<"), _BOOT_S)
@@ -78,14 +78,16 @@ def grbl(port: Path) -> "Iterator[Connection]":
 
 
 def ask(machine: Connection, line: str) -> "list[str]":
-    """Return all answers and reports to a line; a setting takes time until it is in flash."""
-    heard: list[str] = []
+    """Return the lines received up to the answer to a line; a setting takes time until it is in
+    flash."""
+    replies: list[str] = []
     machine.write(line.encode() + b"\n")
-    assert machine.wait_for(lambda reply: heard.append(reply) or is_answer(reply), _BOOT_S)
-    return heard
+    assert machine.wait_for(lambda reply: replies.append(reply) or is_answer(reply), _BOOT_S)
+    return replies
 
 
 def test_empty_board_is_deployed_and_updated(uf2: Path, tmp_path: Path) -> None:
+    """A second deployment copies nothing, a changed board file only that; settings stay."""
     made = build.for_board(BOARD_FILE)
     with pico(uf2, tmp_path) as port:
         code, done = deploy(port)
@@ -107,13 +109,14 @@ def test_empty_board_is_deployed_and_updated(uf2: Path, tmp_path: Path) -> None:
         assert (code, changed["copied"], changed["removed"]) == (0, ["board.py"], [])
         with grbl(port) as machine:
             assert "$110=777.000" in ask(machine, "$$")
-            assert "[OPT:V,11,255]" in ask(machine, "$I")
+            assert "[OPT:V,11,255]" in ask(machine, "$I")  # 12 blocks are reported as 11
 
 
 def test_mpremote_enters_and_leaves_the_prompt(uf2: Path, tmp_path: Path) -> None:
     with pico(uf2, tmp_path, build.for_board(BOARD_FILE)) as port:
         with grbl(port):
-            pass
+            pass  # it has started
+        # resume: without a soft reset.
         assert mpremote(port, "resume", "exec", "print(6 * 7)") == "42\n"
         assert "words.mpy" in mpremote(port, "fs", "ls", "language")
         with grbl_started_anew(port) as machine:
@@ -133,7 +136,7 @@ def grbl_started_anew(port: Path) -> "Iterator[Connection]":
 def test_moving_machine_is_not_disturbed(uf2: Path, tmp_path: Path) -> None:
     with pico(uf2, tmp_path, build.for_board(BOARD_FILE)) as port:
         with grbl(port) as machine:
-            assert "ok" in ask(machine, "G91 G1 X100 F100")
+            assert "ok" in ask(machine, "G91 G1 X100 F100")  # takes a minute
         code, done = deploy(port)
         assert code == 1 and "is in Run, and is not disturbed" in done["problems"][0]
         with grbl(port) as machine:
@@ -143,17 +146,18 @@ def test_moving_machine_is_not_disturbed(uf2: Path, tmp_path: Path) -> None:
 def test_sources_copied_by_hand_are_replaced(uf2: Path, tmp_path: Path) -> None:
     """Sources that `mpremote cp -r firmware/. :` leaves would hide the compiled files.
 
-    These two have only functions for other modules, so they work among compiled modules.
+    These two have only functions for other modules, so they work among compiled modules. A file of
+    the user's (mine.py) stays.
     """
     made = build.for_board(BOARD_FILE)
     sources = {
         name: (build.paths.FIRMWARE / name).read_bytes()
         for name in ("motion/minifloat.py", "talk/digits.py")
     }
-    there = build.Build(made.arch, {**made.files, **sources, "mine.py": b"mine = 1\n"})
-    with pico(uf2, tmp_path, there) as port:
+    files = build.Build(made.arch, {**made.files, **sources, "mine.py": b"mine = 1\n"})
+    with pico(uf2, tmp_path, files) as port:
         with grbl(port):
-            pass
+            pass  # it has started
         code, done = deploy(port)
         assert (code, done["removed"], done["copied"]) == (
             0,

@@ -47,40 +47,43 @@ def machine(image: Path, files: "dict[str, bytes]") -> Esp32:
 def vectors_and_kernels() -> "dict[str, bytes]":
     """Return vectors.py and its imports, compiled for the chip."""
     texts = pruned(inline({**build.texts(), "vectors": VECTORS.read_text("utf-8")}))
-    found: dict[str, str] = {}
-    left = ["vectors"]
-    while left:
-        name = left.pop()
-        if name in texts and name not in found:
-            found[name] = texts[name]
-            left += build.imported(texts[name])
-    compiled = build.compiled(_ARCH, Apart(found, "", {}))
+    needed: dict[str, str] = {}
+    to_visit = ["vectors"]
+    while to_visit:
+        name = to_visit.pop()
+        if name in texts and name not in needed:
+            needed[name] = texts[name]
+            to_visit += build.imported(texts[name])
+    compiled = build.compiled(_ARCH, Apart(needed, "", {}))
     return {build.path_of(name): code for name, code in compiled.items()}
 
 
 def counted(steps: "list[Step]") -> "list[int]":
-    """Return the sum of the steps of each axis."""
-    found = [0, 0, 0]
+    """Return the sum of the steps of each axis, with their signs."""
+    sums = [0, 0, 0]
     direction = load_board("esp32_devkit").DIR
     for step in steps:
         axis = step.channel // _BLOCKS
-        found[axis] += -1 if step.levels >> direction[axis] & 1 else 1
-    return found
+        sums[axis] += -1 if step.levels >> direction[axis] & 1 else 1
+    return sums
 
 
 def test_compiled_kernels_compute_the_integers_of_the_desktop(image: Path) -> None:
-    """Run at the prompt of a board that has only those modules of the firmware."""
+    """vectors.py prints the kernels' results for pseudo-random numbers. It runs at the prompt of a
+    board that has only it and the modules it imports, and under CPython."""
     board = Esp32(image, vectors_and_kernels()).power_on()
     board.python("import sys, vectors", ">>> ")
     for part in ("reals", "words", "blocks", "arcs"):
-        here = cpython(part).splitlines()
-        there = board.python_again(f"sys.argv[:] = ['', {part!r}]; vectors.main()").splitlines()
-        for number, (one, other) in enumerate(zip(here, there, strict=False)):
-            assert one == other, f"line {number} of {part}"
-        assert len(here) == len(there) > 300, board.said[-500:]
+        expected = cpython(part).splitlines()
+        code = f"sys.argv[:] = ['', {part!r}]; vectors.main()"
+        printed = board.python_again(code).splitlines()
+        for number, (due, line) in enumerate(zip(expected, printed, strict=False)):
+            assert due == line, f"line {number} of {part}"
+        assert len(expected) == len(printed) > 300, board.said[-500:]
 
 
 def test_empty_board_is_deployed_and_up_to_date(image: Path, files: "dict[str, bytes]") -> None:
+    """The second deployment finds all files unchanged."""
     board = Esp32(image, {}).power_on()
     board.wait_for(">>> ")  # it reads nothing while it starts
     port = Path(board.port.port)
@@ -106,10 +109,11 @@ def test_setting_survives_a_power_cut(machine: Esp32) -> None:
     machine.power_off()
     machine.power_on().boot()
     assert "$100=300.000\r\n" in machine.ask("$$")
-    machine.ask("$100=250")
+    machine.ask("$100=250")  # the default, for the other tests
 
 
 def test_number_of_steps_is_exact_and_none_comes_early(machine: Esp32) -> None:
+    """At 250 steps/mm. X and Y return to their start, Z ends at 0.5 mm."""
     before = len(machine.steps())
     for line in ("G91 G1 X4 F480", "G1 X-1 Y2 F400", "G1 X-3 Y-2 Z0.5 F300"):
         machine.ask(line)
@@ -117,10 +121,11 @@ def test_number_of_steps_is_exact_and_none_comes_early(machine: Esp32) -> None:
     steps = machine.steps()[before:]
     assert report["MPos"] == "0.000,0.000,0.500"
     assert counted(steps) == [0, 0, 125]
-    made = [sum(step.channel == _BLOCKS * axis for step in steps) for axis in range(3)]
-    assert made == [2000, 1000, 125]
-    of_x = [step.us for step in steps if step.channel == 0]
-    assert min(b - a for a, b in pairwise(of_x)) > 500 - 60  # 2000 a second, docs/esp32.md
+    counts = [sum(step.channel == _BLOCKS * axis for step in steps) for axis in range(3)]
+    assert counts == [2000, 1000, 125]  # 8, 4 and 0.5 mm in either direction
+    x_us = [step.us for step in steps if step.channel == 0]
+    # F480 is 2000 steps/s, 500 us apart; docs/esp32.md has the deviation.
+    assert min(b - a for a, b in pairwise(x_us)) > 500 - 60
 
 
 def test_hold_loses_no_step_and_reset_in_motion_is_an_alarm(machine: Esp32) -> None:
@@ -129,11 +134,11 @@ def test_hold_loses_no_step_and_reset_in_motion_is_an_alarm(machine: Esp32) -> N
     machine.comes_to("Run")
     machine.send("!")
     machine.comes_to("Hold:0")
-    held = counted(machine.steps()[before:])[0]
-    assert 0 < held < 750
+    steps_until_hold = counted(machine.steps()[before:])[0]
+    assert 0 < steps_until_hold < 750
     machine.send("~")
     machine.comes_to("Idle")
-    assert counted(machine.steps()[before:])[0] == 750
+    assert counted(machine.steps()[before:])[0] == 750  # 3 mm at 250 steps/mm
     machine.ask("G1 X-3")
     machine.comes_to("Run")
     machine.forget()
@@ -145,7 +150,8 @@ def test_hold_loses_no_step_and_reset_in_motion_is_an_alarm(machine: Esp32) -> N
 
 @pytest.mark.parametrize("category", ["errors", "gcode_words"])
 def test_lines_are_answered_as_by_real_grbl(machine: Esp32, category: str) -> None:
-    """Recorded conversations that change only modes."""
+    """Play conversations recorded with real Grbl, only those that change nothing but modes: no
+    motion, no settings, no offsets, no real-time bytes."""
     recorded = _CONVERSATIONS / f"{category}.json"
     if not recorded.is_file():
         pytest.skip(f"the recordings are not there: {recorded}")
@@ -172,8 +178,8 @@ def test_lines_are_answered_as_by_real_grbl(machine: Esp32, category: str) -> No
 
 
 def test_memory_is_free_at_the_prompt(machine: Esp32) -> None:
-    free = machine.python("import gc; gc.collect(); print(gc.mem_free())")
-    assert int(free) > 3_000_000
+    free_bytes = machine.python("import gc; gc.collect(); print(gc.mem_free())")
+    assert int(free_bytes) > 3_000_000
 
 
 def test_missing_psram_is_reported_with_the_remedy(image: Path, files: "dict[str, bytes]") -> None:

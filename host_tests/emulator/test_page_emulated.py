@@ -58,6 +58,10 @@ class Port:
 
 @pytest.fixture
 def person(frozen_uf2: Path, tmp_path: Path) -> Iterator[Person]:
+    """Yield a person at the page in a browser, whose serial port is an emulated Pico's.
+
+    The Pico has frozen firmware, and no file.
+    """
     with pico(frozen_uf2, tmp_path) as path, browser() as opened:
         port: Any = Port(path)
         context = opened.new_context(bypass_csp=True)
@@ -69,11 +73,13 @@ def person(frozen_uf2: Path, tmp_path: Path) -> Iterator[Person]:
 
 
 def waits(person: Person, condition: str) -> None:
+    """Wait up to 20 minutes until this condition of JavaScript holds in the page."""
     person.page.wait_for_function(f"() => {condition}", timeout=1_200_000)
 
 
 @pytest.mark.timeout(3600)
 def test_empty_board_becomes_a_machine_and_its_file_is_read_back(person: Person) -> None:
+    """In the end a file with a syntax error is sent: the page shows the line."""
     person.open_from_disk()
     person.click("#connect")
     waits(person, "$('setup-found').textContent.includes('with ugrbl and without a board file')")
@@ -94,6 +100,7 @@ def test_empty_board_becomes_a_machine_and_its_file_is_read_back(person: Person)
     waits(person, "setupStep === 'file'")
     assert person.page.input_value("#board-text") == text
 
+    # A parenthesis is missing.
     person.page.fill("#board-text", text.replace("STEP = (2, 3, 4)", "STEP = (2, 3, 4"))
     person.click("#send-board")
     waits(person, "$('file-says').textContent.includes('SyntaxError')")

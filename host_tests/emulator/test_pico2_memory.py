@@ -32,7 +32,10 @@ _JOB = "".join(
 
 
 def machine(uf2: Path, folder: Path, more: str, says: str = "") -> Board:
-    """Start the common board with these lines in its file; says scripts network clients."""
+    """Return the common board, started with these further lines in its file and a job.
+
+    says: Python code that scripts the clients of a stand-in for the network.
+    """
     file = folder / "pico2_more.py"
     file.write_text(BOARD_FILE.read_text("utf-8") + more, "utf-8")
     files = {**dict.fromkeys(firmware()), **build.for_board(file).files}
@@ -44,11 +47,12 @@ def test_plain_board_leaves_two_thirds_of_its_memory_free(uf2: Path, tmp_path: P
 
 
 def test_256_blocks_are_planned_ahead(uf2: Path, tmp_path: Path) -> None:
+    """A slow move runs meanwhile, so that the others wait in the planner."""
     board = machine(uf2, tmp_path, _MORE)
     assert f"[OPT:V,{_BLOCKS - 1}," in board.ask("$I")
     assert free_bytes(board) >= _HEAP_BLOCKS
-    board.ask("$10=3")
-    board.ask("G91 G1 X.2 F10")
+    board.ask("$10=3")  # reports have "Bf": free blocks
+    board.ask("G91 G1 X.2 F10")  # takes 1.2 s
     for _ in range(_BLOCKS - 2):
         board.ask("X.02 F500")
     assert board.status()["Bf"].startswith("0,")
@@ -57,15 +61,17 @@ def test_256_blocks_are_planned_ahead(uf2: Path, tmp_path: Path) -> None:
 
 
 def test_eight_motors_jobs_and_the_page_fit_together(uf2: Path, tmp_path: Path) -> None:
+    """Six axes, X and Y with two motors. A client of the page moves X (ASKS), then a job runs from
+    the serial line, while free memory is checked."""
     motors = "XYZABCXY"
     limit = (19, 20, 21, 0, 1, 28)
     pins = PINS.format(motors=motors, step=STEP, dir=DIR, limit=limit)
     board = machine(uf2, tmp_path, pins + _MORE + _PAGE, f"socket.asks += {ASKS}")
-    for pin in (*limit, 22):
+    for pin in (*limit, 22):  # open switches; REPL_PIN is 22
         board.pico.drive(pin, 1)
     board.pico.record([*STEP, *DIR])
     odometer = Odometer(board.pico, STEP, DIR)
-    board.pico.run_us(2_500_000)
+    board.pico.run_us(2_500_000)  # the client's requests are served
     board.forget()
     board.send("?")
     assert "MPos:3.000,0.000,0.000,0.000,0.000,0.000" in board.wait_for(">")  # moved by the page
@@ -76,6 +82,6 @@ def test_eight_motors_jobs_and_the_page_fit_together(uf2: Path, tmp_path: Path) 
     board.send("$F=eight.nc\n")
     board.wait_for("Job EIGHT.NC: done, 29 lines", 60_000_000)
     board.until_idle()
-    ends = [_PER_MM * (29 % n) // 10 for n in _TENTHS]
+    ends = [_PER_MM * (29 % n) // 10 for n in _TENTHS]  # steps; the job's last line has k = 29
     assert odometer.read() == [*ends, *ends[:2]]
     assert "Job EIGHT.NC: done" in board.ask("$U")  # the page has received it, too

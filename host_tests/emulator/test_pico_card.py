@@ -52,11 +52,12 @@ def wired(uf2: Path, tmp_path: Path, card: SdCard) -> Board:
     machine = Board(uf2, {**dict.fromkeys(firmware()), **build.for_board(file).files})
     machine.pico.record([*STEP, *DIR, SPINDLE_PWM])
     bus, clock = machine.pico.mcu.spi[_BUS], machine.pico.clock
-    came: list[int] = []
-    done = clock.create_alarm(lambda: bus.complete_transmit(came.pop()))
+    received: list[int] = []  # the byte in transit from the card
+    done = clock.create_alarm(lambda: bus.complete_transmit(received.pop()))
 
     def transmit(byte: int) -> None:
-        came.append(card.exchange(byte))
+        """Exchange a byte with the card; it is complete after 8 bits, in ns."""
+        received.append(card.exchange(byte))
         done.schedule(8e9 / bus.clock_frequency)
 
     bus.on_transmit = transmit
@@ -68,6 +69,8 @@ def wired(uf2: Path, tmp_path: Path, card: SdCard) -> Board:
 
 
 def selects(card: SdCard) -> "Callable[[object, object], None]":
+    """Return a listener of the chip select pin: low selects the card."""
+
     def on_change(new: object, _old: object) -> None:
         card.select(new.name == "LOW")
 
@@ -75,6 +78,8 @@ def selects(card: SdCard) -> "Callable[[object, object], None]":
 
 
 def test_job_runs_from_a_card(uf2: Path, tmp_path: Path) -> None:
+    """The list has only G-code files whose names have no space. The job ends at its last target,
+    at 100 steps/mm."""
     card = card_with(tmp_path, {"part.nc": _JOB, "a name.nc": b"", "other.txt": b"1"})
     machine = wired(uf2, tmp_path, card)
     said = machine.ask("$F")
@@ -85,8 +90,8 @@ def test_job_runs_from_a_card(uf2: Path, tmp_path: Path) -> None:
     machine.forget()
     machine.send("$F=part.nc\n")
     machine.wait_for(f"Job PART.NC: done, {_LINES + 2} lines", 60_000_000)
-    last = _TEXT.splitlines()[-1]
-    x, y = (float(last.partition(axis)[2][:4]) for axis in "XY")
+    last_line = _TEXT.splitlines()[-1]
+    x, y = (float(last_line.partition(axis)[2][:4]) for axis in "XY")  # mm
     assert odometer.read() == [round(100 * x), round(100 * y), 0]
     assert stack.used() <= SIZE - _RESERVE
 
@@ -101,7 +106,7 @@ def test_removed_card_stops_the_job_and_another_card_runs(uf2: Path, tmp_path: P
     machine.wait_for("cannot be read", 20_000_000)
     assert machine.status()["state"] == "Idle"
     machine.pico.run_us(1_000)
-    machine.pico.edges.clear()
+    machine.pico.edges.clear()  # the spindle's PWM would make edges
     machine.pico.run_us(20_000)
     assert not machine.pico.edges, "the spindle is on"
     assert "SD card is missing" in machine.ask("$F", "error:3\r\n")
@@ -111,9 +116,14 @@ def test_removed_card_stops_the_job_and_another_card_runs(uf2: Path, tmp_path: P
 
 
 def test_file_sent_over_the_line_is_readable_by_a_computer(uf2: Path, tmp_path: Path) -> None:
+    """It replaces one of the same name, at 15 kB/s or more. Then the board reads and runs it.
+
+    Two of three blocks arrive damaged there: it reads them again.
+    """
     card = card_with(tmp_path, {"part.nc": b"G4P0\n"})
     machine = wired(uf2, tmp_path, card)
-    rate = len(_JOB) / push(machine, "PART.NC", _JOB) * 1000
+    push_us = push(machine, "PART.NC", _JOB)
+    rate = len(_JOB) / push_us * 1000
     assert rate >= 15, "kB/s"
     card.damage = lambda block: bytes([block[0] ^ 16]) + block[1:] if card.read % 3 else block
     assert files_on(tmp_path, card) == {"part.nc": _JOB}  # the name keeps its case

@@ -88,6 +88,7 @@ def board(uf2: Path) -> Board:
 
 @pytest.fixture(scope="module")
 def machine(uf2: Path) -> Board:
+    """Return a board with CUSTOM, its pins recorded."""
     made = board(uf2)
     made.pico.record([*STEP, *DIR, SPINDLE_PWM])
     return made
@@ -104,12 +105,14 @@ def ready(machine: Board) -> "Board":
 
 
 def test_custom_file_is_read_at_start_and_leaves_memory_free(machine: Board) -> None:
+    """M106 allocates 8000 bytes at once."""
     said = machine.ask("$I")
     assert "[MSG:Custom: M100, M101, M102" in said and "on.report]" in said
     assert "[MSG:8000 bytes]" in machine.ask("M106"), "a large block is free"
 
 
 def test_words_are_called_with_their_numbers_after_motion_has_ended(ready: Board) -> None:
+    """M100 has P and an optional Q: it reports both and the position, and refuses P over 1."""
     ready.ask("G91 G1 X0.8 F600")
     said = ready.ask("M100 P1")
     assert re.search(r"\[MSG:P1 Q0 at \([\d.-]+, [\d.-]+, [\d.-]+\)\]\r\nok", said)
@@ -119,14 +122,16 @@ def test_words_are_called_with_their_numbers_after_motion_has_ended(ready: Board
 
 
 def test_tool_change_is_stored_over_a_power_cut_and_reported(ready: Board, uf2: Path) -> None:
+    """The file's tool change moves Z by 0.4 mm, restores the modes and stores the tool's number,
+    which a second board with a copy of the flash reports as Tc."""
     before = [float(mm) for mm in ready.status()["MPos"].split(",")]
     ready.ask("G90")
     ready.ask("T7 M6")
     ready.until_idle()
     after = [float(mm) for mm in ready.status()["MPos"].split(",")]
     assert after[2] - before[2] == pytest.approx(0.4) and "G90" in ready.ask("$G")
-    ready.pico.run_us(600_000)
-    ready.status()
+    ready.pico.run_us(600_000)  # the number is written to flash
+    ready.status()  # the field is computed for the next report
     assert ready.status()["Tc"] == "7"
     second = Board(uf2)
     second.pico.put_file_system(ready.pico.flash_image())
@@ -137,29 +142,32 @@ def test_tool_change_is_stored_over_a_power_cut_and_reported(ready: Board, uf2: 
 
 
 def test_failing_word_loses_no_step_and_names_file_and_line(ready: Board) -> None:
+    """M101 moves X by 0.4 mm, 100 steps, and divides by 0: alarm 34, a reset, and a report."""
     odometer = Odometer(ready.pico)
     before = odometer.read()
     said = ready.ask("M101", "Grbl 1.1h")
     message = re.search(r"\[MSG:(M101: custom.py, line \d+, in fails: ZeroDivisionErr.*)\]", said)
     assert message and "ALARM:34" in said
     assert [b - a for a, b in zip(before, odometer.read())] == [100, 0, 0]
-    assert message[1] in ready.ask("$I+")
+    assert message[1] in ready.ask("$I+")  # the last fault
 
 
 @pytest.mark.parametrize(("line", "name"), [("M103", "takes_memory"), ("M105", "calls_itself")])
 def test_exhausted_memory_or_stack_is_a_failure_like_others(
     ready: Board, line: str, name: str
 ) -> None:
+    """It is reported with its line; then other words work. name: the function of the word."""
     said = ready.ask(line, "Grbl 1.1h", 20_000_000)
-    is_told = re.search(rf"\[MSG:{line}: custom.py, line \d+, in {name}: \w+", said)
+    is_reported = re.search(rf"\[MSG:{line}: custom.py, line \d+, in {name}: \w+", said)
     # An interrupt may have hit the full stack. MicroPython hangs while it reports that, and the
     # watchdog restarts the chip.
-    assert is_told or (line == "M105" and "Uncaught exception in IRQ" in said)
+    assert is_reported or (line == "M105" and "Uncaught exception in IRQ" in said)
     ready.ask("$X")
     assert "P1 Q0" in ready.ask("M100 P1")
 
 
 def test_reset_ends_a_handler_that_swallows_it(ready: Board) -> None:
+    """M104 waits for ever, and catches every Exception."""
     ready.forget()
     ready.send("M104\n")
     ready.pico.run_us(200_000)
@@ -168,11 +176,13 @@ def test_reset_ends_a_handler_that_swallows_it(ready: Board) -> None:
 
 
 def test_endless_loop_is_stopped_ended_by_a_reset_and_reported(ready: Board) -> None:
+    """M102 loops for ever. After some 0.3 s the main loop counts as blocked, and the spindle is
+    switched off; the first reset ends the loop, the second one the alarm."""
     ready.ask("M3 S500")
     ready.forget()
     ready.send("M102\n")
     ready.pico.run_us(400_000)
-    ready.pico.edges.clear()
+    ready.pico.edges.clear()  # the spindle's PWM would make edges
     ready.send("\x18")
     ready.wait_for("ALARM:16")
     ready.wait_for("in loops")
@@ -185,6 +195,8 @@ def test_endless_loop_is_stopped_ended_by_a_reset_and_reported(ready: Board) -> 
 def test_failure_during_streamed_arcs_stops_smoothly_and_loses_no_step(
     uf2: Path,
 ) -> None:
+    """A handler that runs every 5 ms fails when Z is above 0.3 mm: the machine decelerates, and
+    reports the position that follows from the steps."""
     beside = b"""
 @every(5)
 def beside(m):
@@ -202,17 +214,20 @@ def beside(m):
     said = machine.wait_for("Grbl 1.1h", 5_000_000)
     assert re.search(r"\[MSG:every 5: custom.py, line \d+, in beside: IndexErr", said)
     assert "ALARM:34" in said and "ALARM:16" not in said
-    made = odometer.read()
-    assert 0.3 * 250 < made[2] < 0.6 * 250
+    steps = odometer.read()
+    assert 0.3 * 250 < steps[2] < 0.6 * 250  # 250 steps/mm
     machine.ask("$X")
-    told = [float(mm) * 250 for mm in machine.status()["MPos"].split(",")]
-    assert told == pytest.approx(made, abs=0.3)
+    reported_steps = [float(mm) * 250 for mm in machine.status()["MPos"].split(",")]
+    assert reported_steps == pytest.approx(steps, abs=0.3)
     stack = re.search(r"Stack: (\d+) of", machine.ask("$I+"))
-    assert stack and int(stack[1]) <= 8192 - 1024
+    assert stack and int(stack[1]) <= 8192 - 1024  # bytes; a reserve of 1 kB
 
 
 def test_outputs_switch_and_make_pulses_until_a_reset(uf2: Path, tmp_path: Path) -> None:
-    """There are as many outputs as a stack light has; kill() forces all of them off."""
+    """There are as many outputs as a stack light has; a reset forces all of them off.
+
+    M110 switches two, M111 makes pulses of 5000 Hz with a duty of P at a third.
+    """
     pins = {"red": 20, "lamp": 21, "fan": 26, "horn": 27}
     file = tmp_path / "light.py"
     file.write_text(BOARD_FILE.read_text() + f"\nOUTPUTS = {pins}\n")
@@ -239,16 +254,18 @@ def share(m, P):
     machine.pico.run_us(2000)
     ups = [edge.ns for edge in machine.pico.edges if edge.level]
     downs = [edge.ns for edge in machine.pico.edges if not edge.level]
-    assert len(ups) == pytest.approx(10, abs=1)
-    lengths = [down - up for up, down in zip(ups, downs[downs[0] < ups[0] :])]
-    assert lengths == pytest.approx([50_000] * len(lengths), abs=100)
+    assert len(ups) == pytest.approx(10, abs=1)  # 2 ms of 5000 Hz
+    # The first falling edge may end a pulse that had begun before.
+    lengths_ns = [down - up for up, down in zip(ups, downs[downs[0] < ups[0] :])]
+    # A quarter of 200 us.
+    assert lengths_ns == pytest.approx([50_000] * len(lengths_ns), abs=100)
     machine.forget()
     machine.send("\x18")
     machine.wait_for("Grbl 1.1h")
     machine.pico.edges.clear()
     machine.pico.run_us(2000)
     assert not machine.pico.edges, "all are off"
-    machine.ask("M110 P1")
+    machine.ask("M110 P1")  # they work again after the reset
     machine.ask("M111 P1")
     machine.pico.run_us(1000)
     assert {edge.pin for edge in machine.pico.edges if edge.level} == {20, 26, 27}
@@ -273,7 +290,8 @@ def streamed(uf2: Path, words: "bytes | None") -> "tuple[Talk, float]":
     """Start a board with this custom.py; return it and its highest rate of short moves, 1/s."""
     talk = Talk(EmulatedWire(Board(uf2, {"custom.py": words}).boot().settled()))
     set_up(talk)
-    stream(talk, list(short_moves(300)), 63)  # objects that are created once exist now
+    # With up to 63 lines on their way. Objects that are created once exist afterwards.
+    stream(talk, list(short_moves(300)), 63)
     idle(talk)
     for line in ("G90", "G0X10Y10"):
         talk.ask(line)
@@ -282,14 +300,16 @@ def streamed(uf2: Path, words: "bytes | None") -> "tuple[Talk, float]":
 
 
 def test_unused_word_costs_little_and_a_timer_its_own_time(uf2: Path) -> None:
-    _, plain = streamed(uf2, None)
-    _, word = streamed(uf2, _WORD)
-    assert word > 0.98 * plain
-    talk, timer = streamed(uf2, _TIMER)
-    assert timer > 0.9 * word  # 20 calls a second of 1 ms, and the overhead
+    """Measured by the highest rate of streamed lines: without a custom.py, with a word, and with a
+    function that is called every 50 ms and takes 1 ms."""
+    _, plain_lines_s = streamed(uf2, None)
+    _, word_lines_s = streamed(uf2, _WORD)
+    assert word_lines_s > 0.98 * plain_lines_s
+    talk, timer_lines_s = streamed(uf2, _TIMER)
+    assert timer_lines_s > 0.9 * word_lines_s  # 20 calls a second of 1 ms, and the overhead
     before = calls(talk)
     stream(talk, list(short_moves(800)), 63)
-    ms = 800 / timer * 1000
+    ms = 800 / timer_lines_s * 1000
     assert calls(talk) - before >= 0.8 * ms / 50, "the timer runs during an endless stream"
 
 

@@ -43,16 +43,22 @@ class Wire:
         uart.rp2040.set_interrupt(uart.irq, bool(uart._interrupt_status & uart._interrupt_mask))
 
     def _on_byte(self, byte: int) -> None:
+        """Collect a request, of 8 bytes to write and 4 to read a register, and pass it on.
+
+        On the single wire the chip receives its own bytes, and then the answer of a driver.
+        """
         self._sent.append(byte)
         if len(self._sent) > 2 and len(self._sent) == (8 if self._sent[2] & 0x80 else 4):
             sent = len(self._sent)
-            back = self.bus.exchange(bytes(self._sent))
+            received = self.bus.exchange(bytes(self._sent))
             self._sent.clear()
-            self._bring(back[:sent], 10 * sent)
-            if back[sent:]:
-                self._bring(back[sent:], 10 * len(back) + _DELAY_BITS)
+            self._bring(received[:sent], 10 * sent)
+            if received[sent:]:
+                self._bring(received[sent:], 10 * len(received) + _DELAY_BITS)
 
     def _bring(self, data: bytes, bits: float) -> None:
+        """Let the chip receive data after the time of so many bits; a byte has 10."""
+
         def arrive() -> None:
             for byte in data:
                 self._uart.feed_byte(byte)
@@ -66,7 +72,7 @@ class Machine:
     def __init__(self, uf2: Path) -> None:
         self.board = Board(uf2, {**files_of("btt_skr_pico"), "main.py": MAIN})
         self.wire = Wire(self.board.pico)
-        for pin in _BOARD.LIMIT:
+        for pin in _BOARD.LIMIT:  # open, with $5=1
             self.board.pico.drive(pin, 0)
         self.board.pico.record([*_BOARD.STEP, *_BOARD.DIR])
         self.board.boot().settled()
@@ -85,6 +91,7 @@ def machine(uf2: Path) -> Machine:
 
 def test_drivers_are_set_up_when_the_board_starts(machine: Machine) -> None:
     for driver in machine.drivers():
+        # pdn_disable, mstep_reg_select, multistep_filt; MRES 4: 16 microsteps.
         assert driver.registers[model.GCONF] == 0x1C0
         assert driver.registers[model.CHOPCONF] >> 24 & 15 == 4
 
@@ -95,42 +102,44 @@ def test_report_has_the_values_of_the_models(machine: Machine) -> None:
 
 
 def test_steps_are_made_within_the_stack(machine: Machine) -> None:
+    """While drivers are polled, and after a change of a current ($140), which is sent to one."""
     stack = Stack(machine.board)
-    stack.paint()
+    stack.paint()  # shows later how deep the stack was
     machine.odometer.read()
     machine.board.ask("$X")
     machine.board.ask("G91 G1 X1 Y-2 Z.5 F3000")
     machine.board.ask("G4P.5")
     machine.board.ask("$140=600")
     machine.board.pico.run_us(500_000)
-    assert machine.odometer.read() == [80, -160, 200]
+    assert machine.odometer.read() == [80, -160, 200]  # 80, 80 and 400 steps/mm
     assert stack.used() <= SIZE - RESERVE
 
 
 def test_silent_driver_is_an_alarm(machine: Machine) -> None:
     board = machine.board
     board.forget()
-    machine.drivers()[1].has_supply = False
+    machine.drivers()[1].has_supply = False  # it does not answer
     board.wait_for("[MSG:Motor driver Y: no answer")
     board.wait_for("ALARM:35")
     board.wait_for("Grbl 1.1h")
     machine.drivers()[1].switch_on()
-    board.pico.run_us(1_000_000)
+    board.pico.run_us(1_000_000)  # it is set up again
     assert board.ask("$X").endswith("ok\r\n")
     assert board.status()["state"] == "Idle"
 
 
 def test_status_report_is_sent_in_time_while_drivers_are_polled(machine: Machine) -> None:
+    """Asked 60 times, at changing phases of the polling."""
     pico = machine.board.pico
-    waits = []
+    waits_us = []
     for _ in range(60):
         machine.board.forget()
-        asked = pico.us
+        asked_us = pico.us
         machine.board.send("?")
         machine.board.wait_for(">")
-        waits.append(pico.us - asked)
+        waits_us.append(pico.us - asked_us)
         pico.run_us(7_300)
-    assert max(waits) < 15_000
+    assert max(waits_us) < 15_000
 
 
 def test_heap_is_free(machine: Machine) -> None:

@@ -57,6 +57,11 @@ power_up.run_machine(power_up.build())
 
 @pytest.fixture(scope="module")
 def machine(uf2: Path) -> Board:
+    """Return a board whose main.py (_HOOK) adds commands.
+
+    $FAULT raises in the main loop, $TURN in the engine's interrupt, $HANG never ends, and $BUSY
+    takes 200 ms. The watchdog restarts the chip after 1.5 s.
+    """
     made = (
         Board(uf2, {"main.py": _HOOK, "board.py": BOARD + b"WATCHDOG_MS = 1500\n"})
         .boot()
@@ -76,6 +81,7 @@ def still(machine: Board) -> None:
 
 
 def test_firmware_fault_is_an_alarm_and_a_reset_recovers(machine: Board) -> None:
+    """$FAULT, a command added by the fixture, raises an IndexError in motion."""
     machine.ask("M3 S500")
     machine.ask("G91 G1 X20 F500")
     machine.pico.run_us(200_000)
@@ -101,6 +107,7 @@ def test_firmware_fault_is_an_alarm_and_a_reset_recovers(machine: Board) -> None
 def test_exception_in_the_engines_interrupt_is_an_alarm_and_the_engine_recovers(
     machine: Board,
 ) -> None:
+    """$TURN, a command added by the fixture, lets the next call for a segment raise."""
     machine.ask("$X")
     machine.ask("M3 S500")
     machine.ask("G91 G1 X20 F500")
@@ -118,26 +125,29 @@ def test_exception_in_the_engines_interrupt_is_an_alarm_and_the_engine_recovers(
     machine.pico.edges.clear()
     machine.ask("G91 G1 X1 F500")
     machine.until_idle()
-    assert len(steps(machine.pico.edges, 0)) == 250
+    assert len(steps(machine.pico.edges, 0)) == 250  # per mm
 
 
 def test_ctrl_x_stops_motion_while_the_main_loop_is_busy(machine: Board) -> None:
+    """$BUSY, a command added by the fixture, takes 200 ms; the last step comes within 10 ms."""
     machine.ask("G91 G1 X20 F500")
     machine.pico.run_us(100_000)
     machine.send("$BUSY\n")
     machine.pico.run_us(50_000)
-    now = machine.pico.us
+    sent_us = machine.pico.us
     machine.forget()
     machine.send("\x18")
     machine.pico.run_us(20_000)
     machine.pico.run_until(lambda: "Grbl 1.1h" in machine.said, 1_000_000)
     assert "ALARM:3" in machine.said
-    assert steps(machine.pico.edges, 0)[-1][0] - now <= 10_000
+    last_step_us = steps(machine.pico.edges, 0)[-1][0]
+    assert last_step_us - sent_us <= 10_000
     machine.pico.run_us(50_000)
     assert machine.said.count("Grbl") == 1
 
 
 def test_hanging_main_loop_restarts_the_chip(machine: Board) -> None:
+    """$HANG, a command added by the fixture, never ends; the watchdog is set to 1.5 s."""
     machine.ask("$X")
     machine.ask("M3 S500")
     machine.forget()
@@ -165,12 +175,15 @@ _GOOD = "ENGINE = 'pio'\nSTEP = (2, 3, 4)\nDIR = (5, 6, 7)\n"
 def test_machine_that_cannot_be_built_reports_the_cause_on_request(
     uf2: Path, changes: "dict[str, bytes | None]", said: str
 ) -> None:
+    """changes: files to replace, or to leave out (None); said: the cause. No step is made, and the
+    prompt is available."""
     machine = Board(uf2, changes)
     machine.pico.record([*STEP])
     machine.wait_for("]\r\n")
     machine.forget()
     machine.send("?")
     answer = machine.wait_for("]\r\n")
+    # "ok" and "error" would be taken for answers to lines.
     assert said in answer and "ok" not in answer and "rror" not in answer
     assert not machine.pico.edges
     assert machine.python("print(2 + 2)", "") == "4\r\n"
@@ -198,7 +211,7 @@ def fillers() -> "dict[str, bytes]":
     """Return files that leave no space: one takes all blocks, the others fill the folder."""
     files: dict[str, bytes] = {}
     for name, size in (("filler", BLOCK), ("0" * 240, 0), ("0" * 30, 0), ("0", 0)):
-        fits, too_many = 0, CHIP.blocks
+        fits, too_many = 0, CHIP.blocks  # bisected
         while too_many - fits > 1:
             count = (fits + too_many) // 2
             try:
@@ -218,6 +231,7 @@ def _parts(name: str, size: int, count: int) -> "dict[str, bytes]":
 
 
 def test_full_flash_is_reported_and_a_setting_holds_until_power_off(uf2: Path) -> None:
+    """The setting is used but cannot be stored: error 7. The machine moves: 250 steps/mm."""
     machine = Board(uf2, fillers()).boot()
     assert machine.status()["state"] == "Idle"
     said = machine.ask("$110=600", "error:")

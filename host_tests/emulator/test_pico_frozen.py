@@ -45,6 +45,7 @@ def hello(m):
 
 @pytest.fixture(scope="module")
 def frozen_uf2() -> Path:
+    """Return the image with our firmware frozen in it; skip unless it has the current sources."""
     named = os.environ.get("UGRBL_FROZEN_UF2", "")
     if not named:
         pytest.skip("UGRBL_FROZEN_UF2 names no image: docs/boards.md says how to build it")
@@ -62,18 +63,20 @@ def where(board: Board) -> str:
 def test_firmware_starts_with_the_board_file_alone_and_moves(frozen_uf2: Path) -> None:
     board = Board(frozen_uf2).boot().settled()
     assert where(board).endswith(", frozen")
-    board.pico.record([2, 5])
+    board.pico.record([2, 5])  # STEP and DIR of X
     board.ask("$120=1000")
     for k in range(20):
         board.ask(f"G1X{k % 2}F6000")
     board.ask("G0X4.5")
     board.until_idle()
     assert board.status()["MPos"] == "4.500,0.000,0.000"
+    # 20 lines: 19 moves of 1 mm (the first one goes nowhere), then 3.5 mm, at 250 steps/mm.
     assert sum(edge.pin == 2 and edge.level for edge in board.pico.edges) == 250 * (19 + 3.5)
     assert int(board.python(_FREE)) > 150_000
 
 
 def test_every_module_of_every_board_can_be_imported(frozen_uf2: Path) -> None:
+    """And none replaces a builtin: the code at the prompt prints the names of such."""
     names = [name for name in build.texts() if not name.startswith(_ELSEWHERE)]
     assert len(names) > 100
     board = Board(frozen_uf2).boot().settled()
@@ -85,11 +88,16 @@ def test_limit_switch_stops_the_machine(frozen_uf2: Path) -> None:
     board.ask("$21=1")
     board.ask("G1X50F1200")
     board.pico.run_us(200_000)
-    board.pico.drive(9, 0)
+    board.pico.drive(9, 0)  # the limit switch of X closes
     board.wait_for("ALARM:1")
 
 
 def test_stored_data_survives_an_update(frozen_uf2: Path, tmp_path: Path) -> None:
+    """A setting, an offset and custom.py.
+
+    The update is the file of `ugrbl uf2 --keep`, loaded over flash that is marked as having an
+    older build.
+    """
     old = Board(frozen_uf2, {"custom.py": _CUSTOM}).boot().settled()
     old.ask("$110=4321")
     old.ask("G10L2P1X7")
@@ -113,6 +121,7 @@ def test_stored_data_survives_an_update(frozen_uf2: Path, tmp_path: Path) -> Non
 def test_deployment_removes_firmware_files_from_the_file_system(
     frozen_uf2: Path, tmp_path: Path
 ) -> None:
+    """All except the board file: the frozen modules take the place of compiled files."""
     made = for_board(BOARD_FILE)
     with pico(frozen_uf2, tmp_path, made) as port:
         with grbl(port):
@@ -130,5 +139,6 @@ def test_deployment_removes_firmware_files_from_the_file_system(
 def test_files_run_instead_of_frozen_firmware_after_a_complete_deployment(
     frozen_uf2: Path, left: "Mapping[str, bytes]", is_frozen: bool
 ) -> None:
+    """left: the files on the board, all or, as after an interrupted deployment, one in part."""
     board = Board(frozen_uf2, left).boot().settled()
     assert where(board).endswith(", frozen") == is_frozen

@@ -44,9 +44,10 @@ class Gantry:
         self._follow()
 
     def _follow(self) -> None:
+        """Set the switches for the motors' positions, every millisecond from now on."""
         self.edges += self.machine.pico.edges
-        for pin, at, closes in zip(_BOARD.LIMIT, self.odometer.read(), _AT, strict=True):
-            self.machine.pico.drive(pin, 0 if at >= closes else 1)
+        for pin, steps, closes_at in zip(_BOARD.LIMIT, self.odometer.read(), _AT, strict=True):
+            self.machine.pico.drive(pin, 0 if steps >= closes_at else 1)
         self.machine.pico.at_us(1_000, self._follow)
 
     def assert_alive(self) -> None:
@@ -58,8 +59,8 @@ class Gantry:
         machine.ask("G1 X-1 Y-1.5 Z-2")
         machine.ask("G4P.01")
         machine.pico.run_us(2_000)
-        made = [at - was for at, was in zip(self.odometer.read(), before, strict=True)]
-        assert made == [-100, -150, -200, -150]
+        steps = [after - b for after, b in zip(self.odometer.read(), before, strict=True)]
+        assert steps == [-100, -150, -200, -150]  # X, Y, Z, Y at 100 steps/mm
 
 
 @pytest.fixture(scope="module")
@@ -68,6 +69,8 @@ def gantry(uf2: Path) -> Gantry:
 
 
 def test_axis_is_squared_at_its_two_switches(gantry: Gantry) -> None:
+    """Homing stops each motor of Y at its own switch, moves the second one by $171, and both away
+    by the pull-off of 0.5 mm ($27), 50 steps. The stack suffices."""
     machine = gantry.machine
     stack = Stack(machine)
     stack.paint()
@@ -93,6 +96,10 @@ def test_both_motors_of_an_axis_step_at_the_same_time(gantry: Gantry) -> None:
 
 @pytest.mark.parametrize("ms", [150, 420, 700])
 def test_all_motors_work_after_a_reset_during_homing(gantry: Gantry, ms: int) -> None:
+    """Homing locks motors that have reached their switches; a reset must release them.
+
+    ms: from the command to the reset.
+    """
     machine = gantry.machine
     machine.forget()
     machine.send("$H\n")

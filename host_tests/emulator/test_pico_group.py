@@ -74,7 +74,7 @@ class Run:
         self.pico = power_up(uf2, {**files, "main.py": PROGRAM})
         self.pico.record([*STEP, *DIRECTION, CAMERA])
         self.pico.drive(SWITCH, 1)
-        self._seen, self._sign, self._y = 0, 1, 0
+        self._seen, self._sign, self._y = 0, 1, 0  # edges evaluated; y's direction and steps
         assert self.pico.run_until(self._done, _LIMIT_US, 1000), self.text
         self.pico.run_us(100_000)
 
@@ -83,7 +83,8 @@ class Run:
         return bytes(self.pico.usb.received).decode()
 
     def _done(self) -> bool:
-        """Close the switch while y is half a unit below 0 or lower."""
+        """Close the switch while y is half a unit below 0 or lower; return whether the program has
+        ended."""
         for edge in self.pico.edges[self._seen :]:
             if edge.pin == DIRECTION[1]:
                 self._sign = -1 if edge.level else 1
@@ -94,21 +95,21 @@ class Run:
         return "END" in self.text or "Error" in self.text
 
     def said(self, word: str) -> "list[str]":
-        """Return the words after that one in the output."""
+        """Return the words after the first one, which is that one, in its line of the output."""
         lines = [line.split() for line in self.text.splitlines()]
-        found = [line[1:] for line in lines if line[:1] == [word]]
-        assert len(found) == 1, self.text
-        return found[0]
+        rests = [line[1:] for line in lines if line[:1] == [word]]
+        assert len(rests) == 1, self.text
+        return rests[0]
 
     def pulses(self, axis: int) -> "list[tuple[float, int]]":
-        """Return (ns, direction) of each step."""
-        found, sign = [], 1
+        """Return (ns, 1 or -1) of each step."""
+        steps, sign = [], 1
         for edge in self.pico.edges:
             if edge.pin == DIRECTION[axis]:
                 sign = -1 if edge.level else 1
             elif edge.pin == STEP[axis] and edge.level:
-                found.append((edge.ns, sign))
-        return found
+                steps.append((edge.ns, sign))
+        return steps
 
     def steps(self, axis: int) -> int:
         return sum(sign for _, sign in self.pulses(axis))
@@ -131,6 +132,7 @@ def test_moves_and_waits_of_tasks_are_those_of_the_simulator(run: Run) -> None:
 
 
 def test_the_switch_is_found_to_the_step(run: Run) -> None:
+    """Homing sets position 1 at the switch, and backs off by 0.25: 1.25 units, of 80 steps."""
     position, steps = run.said("HOMED")
     assert abs(float(position) - 1.25) <= 1 / 80 and int(steps) == round(float(position) * 80)
     # At the pins: y closed it half a unit below 0, and went back a quarter of a unit.
@@ -138,27 +140,31 @@ def test_the_switch_is_found_to_the_step(run: Run) -> None:
 
 
 def test_the_output_changes_with_its_moves(run: Run) -> None:
+    """The program's first five moves are of 0.5 units, 40 steps, and switch the camera's output
+    on and off in turn."""
     changes = [(edge.ns, edge.level) for edge in run.pico.edges if edge.pin == CAMERA]
     assert [level for _, level in changes[:5]] == [1, 0, 1, 0, 1]
-    x = run.pulses(0)
-    made = [sum(sign for ns, sign in x if ns < at) for at, _ in changes[:5]]
+    x_pulses = run.pulses(0)
+    steps = [sum(sign for ns, sign in x_pulses if ns < change) for change, _ in changes[:5]]
     # The interrupt sets it some microseconds after the move's begin; a step takes 600 us there.
-    assert made == [0, 40, 80, 120, 160]
+    assert steps == [0, 40, 80, 120, 160]
 
 
 def test_the_rate_is_exact_in_single_precision(run: Run) -> None:
-    """Measured over more than 4 s, because a step may be 1 to 2 us off its time."""
+    """The program's last motion, x.run(15.041) units/s, of 80 steps. Measured over more than 4 s,
+    because a step may be 1 to 2 us off its time."""
     steps = [ns for ns, _ in run.pulses(0)]
-    track: "list[Any]" = []
+    track: "list[Any]" = []  # steps after the last pause
     for before, ns in pairwise(steps):
         track = [*track, ns] if ns - before < 2_000 * _US else [ns]
-    track = track[200:-5]
+    track = track[200:-5]  # without acceleration and the end
     assert len(track) > 5000
-    rate = (len(track) - 1) / (track[-1] - track[0]) * 1e9
-    assert abs(rate / (15.041 * 80) - 1) < 1e-6
+    steps_per_s = (len(track) - 1) / (track[-1] - track[0]) * 1e9
+    assert abs(steps_per_s / (15.041 * 80) - 1) < 1e-6
 
 
 def test_memory_and_speed(run: Run) -> None:
+    """Free bytes and us of a move; docs have the figures that are printed."""
     before, imported, made = map(int, run.said("FREE"))
     print(f"free: {before}, {imported} with the package, {made} with a group of two axes")
     print(f"a move takes {run.said('MOVES')[0]} us")

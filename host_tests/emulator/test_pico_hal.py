@@ -14,6 +14,10 @@ _HEAP = 66_000
 
 
 def test_texts_are_read_from_flash_and_stay_there(uf2: Path, tmp_path: Path) -> None:
+    """Axes, settings and alarms in grblHAL's form. Setting 103 would be of a fourth axis.
+
+    Byte 0x87 asks for a complete status report.
+    """
     file = tmp_path / "hal.py"
     file.write_text(BOARD_FILE.read_text() + '\nDIALECT = "hal"\n')
     machine = Board(uf2, {**dict.fromkeys(firmware()), **build.for_board(file).files})

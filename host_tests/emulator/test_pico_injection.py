@@ -32,6 +32,7 @@ _LIVES = sorted({seed // TRIALS_PER_LIFE for seed in _SEEDS})
 
 @pytest.fixture(scope="module")
 def machine(uf2: Path) -> Board:
+    """Return a board that is set up; SILENCE changes a source of the firmware (injection.py)."""
     made = Board(uf2, altered(*SILENCE)).boot().settled()
     for setting in SETTINGS:
         assert made.ask(setting) == "ok\r\n"
@@ -47,18 +48,18 @@ def odometer(machine: Board) -> Odometer:
 @pytest.fixture(scope="module")
 def played() -> "Iterator[list[Outcome]]":
     """Collect all outcomes; pytest -s shows the number of each kind, and the slowest."""
-    found: list[Outcome] = []
-    yield found
+    outcomes: list[Outcome] = []
+    yield outcomes
     for act in ACTS:
-        alike = [outcome for outcome in found if outcome.act == act]
-        if alike:
-            last = max(alike, key=lambda outcome: outcome.latency_us)
-            longest = f"{last.latency_us:.0f} us to the last edge, seed {last.seed}"
-            print(f"\n{act}: {len(alike)}; at most {longest}", end="")
+        of_this_kind = [outcome for outcome in outcomes if outcome.act == act]
+        if of_this_kind:
+            slowest = max(of_this_kind, key=lambda outcome: outcome.latency_us)
+            longest = f"{slowest.latency_us:.0f} us to the last edge, seed {slowest.seed}"
+            print(f"\n{act}: {len(of_this_kind)}; at most {longest}", end="")
 
 
 def _trials(life: int) -> "list[Trial]":
-    """Return the trials of a life, ordered by time."""
+    """Return the trials of a life, which is one run of a streaming machine, ordered by time."""
     first = life * TRIALS_PER_LIFE
     trials = map(Trial, range(first, first + TRIALS_PER_LIFE))
     return sorted(trials, key=lambda trial: trial.at_us)
@@ -67,7 +68,8 @@ def _trials(life: int) -> "list[Trial]":
 def _play_forked(
     life: Life, trials: "list[Trial]", seeds: "Collection[int]", tell: "Callable[[Outcome], None]"
 ) -> None:
-    """Stream past all instants, and run each chosen trial in a process of its own."""
+    """Stream past the instants of all trials, and run each trial with one of the seeds in a forked
+    process. tell() passes its outcome to the parent."""
     life.start()
     with futures() as play:
         for trial in trials:
@@ -89,11 +91,15 @@ def _play_in_turn(life: Life, trial: Trial) -> Outcome:
 def _outcomes(
     make_life: "Callable[[], Life]", trials: "list[Trial]", seeds: "Collection[int]"
 ) -> "list[Outcome]":
-    """Return the outcomes of the trials with these seeds; raise if one is missing."""
+    """Return the outcomes of the trials with these seeds; raise if one is missing.
+
+    make_life() returns a machine that can be streamed to.
+    """
     if not HAVE_FORK:
         return [_play_in_turn(make_life(), trial) for trial in trials if trial.seed in seeds]
-    found, ended = told(lambda tell: _play_forked(make_life(), trials, seeds, tell))
-    outcomes = [Outcome(*each) for each in found]
+    # told() returns all that was passed to tell(), and whether the processes have ended well.
+    fields, ended = told(lambda tell: _play_forked(make_life(), trials, seeds, tell))
+    outcomes = [Outcome(*each) for each in fields]
     missing = set(seeds) - {outcome.seed for outcome in outcomes}
     assert ended and not missing, f"no result of the trials {sorted(missing)}"
     return outcomes
@@ -103,6 +109,7 @@ def _outcomes(
 def test_stop_or_hold_at_any_instant_keeps_all_laws(
     machine: Board, odometer: Odometer, played: "list[Outcome]", number: int
 ) -> None:
+    """number: of the life. The laws are in the module's docstring; trouble: a broken one."""
     trials = _trials(number)
     seeds = {trial.seed for trial in trials}.intersection(_SEEDS)
     outcomes = _outcomes(lambda: Life(machine, odometer, number), trials, seeds)
@@ -114,8 +121,8 @@ def test_stop_or_hold_at_any_instant_keeps_all_laws(
 def test_missing_stop_is_found(
     machine: Board, odometer: Odometer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """This shows that the other tests of the file can fail."""
+    """This shows that the other test of the file can fail: nothing is injected."""
     monkeypatch.setattr(Trial, "_inject", lambda trial: None)
-    trial = Trial(2)
+    trial = Trial(2)  # the seed of a trial with Ctrl-X
     (outcome,) = _outcomes(lambda: Life(machine, odometer, 1), [trial], {trial.seed})
     assert "Ctrl-X" in outcome.trouble and "it moved on" in outcome.trouble

@@ -30,6 +30,7 @@ SETTINGS = (
 
 @pytest.fixture(scope="module")
 def machine(uf2: Path) -> Board:
+    """Return a board with an emergency stop, set up, after a first start with it open."""
     made = Board(uf2, {"board.py": BOARD})
     said = made.boot().wait_for("[MSG:Emergency stop]")  # nothing is wired: it is open
     assert "[MSG:First start: factory settings]" in said
@@ -50,6 +51,7 @@ def position(machine: Board) -> "list[float]":
 
 
 def test_hold_button_stops_and_start_button_resumes_to_the_step(machine: Board) -> None:
+    """A move of 12 mm is 960 steps, at 80 steps/mm; each button is pressed for 5 ms."""
     machine.pico.edges.clear()
     start = position(machine)[0]
     machine.ask("G91 G1 X12 F1800")
@@ -80,19 +82,20 @@ def test_sender_holds_and_resumes(machine: Board) -> None:
     assert machine.status()["state"] == "Hold:0"
     machine.send("~")
     machine.until_idle()
-    assert len(steps(machine.pico.edges, 0)) == 480
+    assert len(steps(machine.pico.edges, 0)) == 480  # 6 mm * 80 steps/mm
 
 
 @pytest.mark.parametrize("how", ["ctrl-x", "button"])
 def test_reset_in_motion_stops_at_once_and_position_matches_the_steps(
     machine: Board, how: str
 ) -> None:
+    """The last edge of any pin comes within 1 ms of the button, and within 7 ms of Ctrl-X."""
     start = position(machine)
     machine.pico.edges.clear()
     machine.ask("G91 G1 X12 Y5 F1800")
     machine.pico.run_us(150_000)
     machine.forget()
-    now = machine.pico.us
+    reset_us = machine.pico.us
     if how == "button":
         machine.pico.drive(RESET, 0)
         machine.pico.at_us(2_000, lambda: machine.pico.drive(RESET, 1))
@@ -100,10 +103,11 @@ def test_reset_in_motion_stops_at_once_and_position_matches_the_steps(
         machine.send("\x18")
     machine.wait_for("Grbl 1.1h")
     assert "ALARM:3" in machine.said
-    assert machine.pico.edges[-1].ns / 1000 - now <= (1_000 if how == "button" else 7_000)
+    latency_us = machine.pico.edges[-1].ns / 1000 - reset_us
+    assert latency_us <= (1_000 if how == "button" else 7_000)
     machine.ask("$X")
-    made = [sum(sign for _, sign in steps(machine.pico.edges, axis)) / 80 for axis in range(3)]
-    assert position(machine) == pytest.approx([a + b for a, b in zip(start, made)], abs=0.001)
+    moved_mm = [sum(sign for _, sign in steps(machine.pico.edges, axis)) / 80 for axis in range(3)]
+    assert position(machine) == pytest.approx([a + b for a, b in zip(start, moved_mm)], abs=0.001)
 
 
 def test_limit_switch_stops_all_axes_within_300_us(machine: Board) -> None:
@@ -112,10 +116,10 @@ def test_limit_switch_stops_all_axes_within_300_us(machine: Board) -> None:
     machine.ask("G91 G1 X12 Y5 F1800")
     machine.pico.run_us(150_000)
     machine.forget()
-    now = machine.pico.us
-    machine.pico.drive(LIMIT[1], 0)
+    closed_us = machine.pico.us
+    machine.pico.drive(LIMIT[1], 0)  # Y's switch closes
     machine.wait_for("Reset to continue")
-    assert machine.pico.edges[-1].ns / 1000 - now <= 300
+    assert machine.pico.edges[-1].ns / 1000 - closed_us <= 300
     machine.pico.drive(LIMIT[1], 1)
     machine.forget()
     machine.send("\x18")
@@ -129,50 +133,55 @@ def test_emergency_stop_stops_everything_and_locks_the_machine(machine: Board) -
     machine.ask("G91 G1 X12 Y5 F1800")
     machine.pico.run_us(150_000)
     machine.forget()
-    now = machine.pico.us
+    opened_us = machine.pico.us
     machine.pico.drive(ESTOP, 1)
     machine.wait_for("unlock]\r\n")
     assert "ALARM:17\r\n" in machine.said and "[MSG:Emergency stop]" in machine.said
-    assert machine.pico.edges[-1].ns / 1000 - now <= 300  # steps, and pulses of the spindle
+    # The last edge of steps and of the spindle's PWM.
+    assert machine.pico.edges[-1].ns / 1000 - opened_us <= 300
+    # It cannot be unlocked while the contact is open.
     assert machine.ask("$X", "error:9\r\n") == "[MSG:Emergency stop]\r\nerror:9\r\n"
     machine.pico.drive(ESTOP, 0)
     machine.ask("$X")
 
 
 def test_probe_position_is_that_of_the_contact(machine: Board) -> None:
-    z = position(machine)[2]
+    """The reported position is a step off at most (1/80 mm) from the steps made at the contact."""
+    start_z_mm = position(machine)[2]
     machine.pico.edges.clear()
-    contact: list[int] = []
+    contact_steps: list[int] = []
 
     def touch() -> None:
-        contact.append(sum(sign for _, sign in steps(machine.pico.edges, 2)))
+        """Record Z's steps until now, and close the probe's contact."""
+        contact_steps.append(sum(sign for _, sign in steps(machine.pico.edges, 2)))
         machine.pico.drive(PROBE, 0)
 
     machine.pico.at_us(213_000, touch)
     said = machine.ask("G91 G38.2 Z-20 F600", limit_us=4_000_000)
     machine.pico.drive(PROBE, 1)
-    probed = float(said.partition("[PRB:")[2].split(":")[0].split(",")[2])
-    assert probed == pytest.approx(z + contact[0] / 80, abs=0.0126)
+    probed_mm = float(said.partition("[PRB:")[2].split(":")[0].split(",")[2])
+    assert probed_mm == pytest.approx(start_z_mm + contact_steps[0] / 80, abs=0.0126)
 
 
 def test_homing_finds_the_switches(machine: Board) -> None:
     """Switches of X and Y are 3 mm away, Z's 2 mm; they follow the motors."""
-    places = [240, 240, 160]
+    switches = [240, 240, 160]  # steps, 80 per mm
     for setting in ("$23=0", "$24=300", "$25=1200", "$27=1", "$26=5", "$22=1"):
         machine.ask(setting)
     machine.ask("$X")
-    at = [0, 0, 0]
+    at_steps = [0, 0, 0]
 
     def follow() -> None:
+        """Set the switches for the motors' positions, every millisecond from now on."""
         for axis in range(3):
-            at[axis] = sum(sign for _, sign in steps(machine.pico.edges, axis))
-            machine.pico.drive(LIMIT[axis], 0 if at[axis] >= places[axis] else 1)
+            at_steps[axis] = sum(sign for _, sign in steps(machine.pico.edges, axis))
+            machine.pico.drive(LIMIT[axis], 0 if at_steps[axis] >= switches[axis] else 1)
         machine.pico.at_us(1_000, follow)
 
     machine.pico.edges.clear()
     follow()
     machine.ask("$H", limit_us=12_000_000)
-    # The home position is the pull-off from the place where the switch closes.
+    # The home position is the pull-off ($27, 1 mm) from the place where the switch closes.
     assert position(machine) == pytest.approx([-1, -1, -1], abs=0.001)
     for axis in range(3):
-        assert abs(at[axis] - (places[axis] - 80)) <= 3
+        assert abs(at_steps[axis] - (switches[axis] - 80)) <= 3

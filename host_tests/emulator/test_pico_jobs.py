@@ -37,25 +37,30 @@ _JOB = (
 
 
 def push(machine: Board, name: str, data: bytes) -> float:
-    """Send a file as `ugrbl job push` does; return the time it takes, in us."""
+    """Send a file as `ugrbl job push` does; return the time it takes, in us.
+
+    $FU announces name, size and checksum; the board asks for each piece by its offset.
+    """
     machine.forget()
-    begun = machine.pico.us
+    begun_us = machine.pico.us
     machine.send(f"$FU={name},{len(data)},{zlib.crc32(data):x}\n")
-    for at in range(0, len(data), _PIECE):
-        machine.wait_for(f"[FU:{at}]\r\n", 10_000_000)
-        machine.send(b"".join(jobs._lines(data[at : at + _PIECE])) + b"\n")
+    for offset in range(0, len(data), _PIECE):
+        machine.wait_for(f"[FU:{offset}]\r\n", 10_000_000)
+        machine.send(b"".join(jobs._lines(data[offset : offset + _PIECE])) + b"\n")
     machine.wait_for("ok\r\n", 10_000_000)
-    return machine.pico.us - begun
+    return machine.pico.us - begun_us
 
 
 def home(machine: Board) -> Odometer:
-    """Home to switches 2 mm above the current position, which is the odometer's origin."""
+    """Home to switches 2 mm (200 steps) above the current position; return the odometer, whose
+    origin that position is."""
     odometer = Odometer(machine.pico)
-    is_done: list[bool] = []
+    is_done: list[bool] = []  # not empty: homing has ended
 
     def follow() -> None:
-        for axis, at in enumerate(odometer.read()):
-            machine.pico.drive(LIMIT[axis], 0 if at >= 200 else 1)
+        """Set the switches for the motors' positions, every 2 ms until homing has ended."""
+        for axis, steps in enumerate(odometer.read()):
+            machine.pico.drive(LIMIT[axis], 0 if steps >= 200 else 1)
         if not is_done:
             machine.pico.at_us(2_000, follow)
 
@@ -69,7 +74,10 @@ def home(machine: Board) -> Odometer:
 def made(
     tmp_path: Path, uf2: Path, options: str = "", lines: "tuple[str, ...]" = _SETTINGS
 ) -> bytes:
-    """Return flash with the file of `ugrbl uf2` for a board with jobs, dragged onto other data."""
+    """Return flash with the file of `ugrbl uf2` for a board with jobs, dragged onto other data.
+
+    options: further lines of the board file; lines: its settings.
+    """
     board, settings, file = (tmp_path / name for name in ("my.py", "my.settings", "all.uf2"))
     board.write_text(f'{BOARD_FILE.read_text()}\nJOBS = "jobs"\n{options}\n')
     settings.write_text("".join(f"{line}\n" for line in lines))
@@ -92,6 +100,7 @@ def powered(uf2: Path, flash: bytes) -> Board:
 def test_dragged_file_becomes_a_machine_whose_job_resumes_after_a_power_cut(
     uf2: Path, tmp_path: Path
 ) -> None:
+    """After the power cut a second Pico starts with the first one's flash; $F=@ resumes."""
     machine = powered(uf2, made(tmp_path, uf2))
     data = "".join(f"{line}\n" for line in _JOB).encode()
     machine.ask("$X")
@@ -109,17 +118,19 @@ def test_dragged_file_becomes_a_machine_whose_job_resumes_after_a_power_cut(
     flash = machine.pico.read_flash(0, CHIP.flash)
 
     machine = powered(uf2, flash)
-    told = machine.wait_for("[MSG:Job STAIRS.NC: did not finish; last recorded line: ")
+    message = machine.wait_for("[MSG:Job STAIRS.NC: did not finish; last recorded line: ")
     machine.wait_for("]\r\n")
     line = int(machine.said.partition("last recorded line: ")[2].partition("]")[0])
-    assert 5 < line < 90, told
+    assert 5 < line < 90, message
     odometer = home(machine)
     machine.forget()
     machine.send("$F=@\n")
     machine.wait_for(f"Job STAIRS.NC: continues at line {line}")
     machine.wait_for("Job STAIRS.NC: done, 104 lines", 60_000_000)
-    places = [round(100 * mm) for mm in (*place_of(_JOB[101]), -1.5)]
-    assert odometer.read() == [place + 200 for place in places]  # the switches are at 0
+    # The last target, in steps, 100 per mm: X and Y of the last G1, Z of the G0.
+    target_steps = [round(100 * mm) for mm in (*place_of(_JOB[101]), -1.5)]
+    # Machine zero is at the switches, 200 steps from the odometer's origin.
+    assert odometer.read() == [steps + 200 for steps in target_steps]
     assert read_back(machine.pico.flash_image())["jobs/STAIRS.NC"] == data
 
 
@@ -130,10 +141,10 @@ def place_of(line: str) -> list[float]:
 
 def test_file_is_received_at_45_kilobytes_a_second(uf2: Path, tmp_path: Path) -> None:
     machine = powered(uf2, made(tmp_path, uf2))
-    turns = [i / 100 for i in range(1200)]
-    lines = [f"G1X{50 * math.cos(at):.3f}Y{50 * math.sin(at):.3f}F1500" for at in turns]
+    angles = [i / 100 for i in range(1200)]
+    lines = [f"G1X{50 * math.cos(a):.3f}Y{50 * math.sin(a):.3f}F1500" for a in angles]
     data = "\n".join(lines).encode()
     machine.ask("$X")
-    rate = len(data) / push(machine, "BIG.NC", data) * 1000
-    assert rate >= _KB_PER_S
+    push_us = push(machine, "BIG.NC", data)
+    assert len(data) / push_us * 1000 >= _KB_PER_S  # bytes/us * 1000 are kB/s
     assert read_back(machine.pico.flash_image())["jobs/BIG.NC"] == data

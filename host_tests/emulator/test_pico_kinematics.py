@@ -35,6 +35,7 @@ def live(uf2: Path, file: Path, *settings: str) -> Board:
 
 @pytest.fixture(scope="module")
 def scara(uf2: Path) -> Board:
+    """Return a board with the example of a SCARA's kinematics, whose motors stay on."""
     file = for_this_chip(_EXAMPLES / "my_scara.py")
     shutil.copy(_EXAMPLES / "scara.py", file.parent)
     return live(uf2, file, f"$12={_TOLERANCE}", "$1=255")
@@ -47,6 +48,8 @@ def arms() -> Any:
 
 
 def test_line_is_straight_and_has_the_commanded_speed(scara: Board) -> None:
+    """80 mm along X at Y 120 and 20 mm/s. The tool's path follows from the motors' steps, by the
+    example's own forward kinematics."""
     scara.ask("G1X-40Y120F1200")
     scara.ask("G4P.01", limit_us=10_000_000)
     begin = [float(x) for x in scara.status()["MPos"].split(",")]
@@ -54,21 +57,21 @@ def test_line_is_straight_and_has_the_commanded_speed(scara: Board) -> None:
     scara.pico.edges.clear()
     scara.ask("X40")
     scara.ask("G4P.01", limit_us=10_000_000)
-    per_degree = 44.444
+    per_degree = 44.444  # steps
     model: Any = arms()
-    at = list(model.START)
-    assert model.inverse(begin, at)
-    edges = sorted(
-        (us, axis, way) for axis in range(3) for us, way in steps(scara.pico.edges, axis)
+    joints = list(model.START)  # degrees of both arms, mm of Z
+    assert model.inverse(begin, joints)
+    made = sorted(
+        (us, axis, sign) for axis in range(3) for us, sign in steps(scara.pico.edges, axis)
     )
-    place = [0.0, 0.0, 0.0]
+    tool_mm = [0.0, 0.0, 0.0]
     step_mm = 2 * math.radians(1 / per_degree) * 200  # of both arms, at most
-    for _, axis, way in edges:
-        at[axis] += way / (per_degree if axis < 2 else 400)
-        model.forward(at, place)
-        assert abs(place[1] - 120) <= _TOLERANCE + step_mm
-    assert place == pytest.approx([40, 120, 0], abs=0.2)
-    seconds = (edges[-1][0] - edges[0][0]) / 1e6
+    for _, axis, sign in made:
+        joints[axis] += sign / (per_degree if axis < 2 else 400)
+        model.forward(joints, tool_mm)
+        assert abs(tool_mm[1] - 120) <= _TOLERANCE + step_mm
+    assert tool_mm == pytest.approx([40, 120, 0], abs=0.2)
+    seconds = (made[-1][0] - made[0][0]) / 1e6
     assert seconds == pytest.approx(80 / 20, rel=0.06)
 
 
@@ -79,18 +82,22 @@ def test_unreachable_target_is_refused(scara: Board) -> None:
 
 
 def test_chords_are_planned_in_time_and_heap_is_free(scara: Board) -> None:
-    """The figures are those of docs/kinematics.md."""
-    left = free(scara)
-    scara.ask("$12=0.002")
+    """The figures are those of docs/kinematics.md: a line is answered when its chords, here 57,
+    are planned."""
+    free_bytes = free(scara)
+    scara.ask("$12=0.002")  # mm: the tolerance that decides the number of chords
     scara.ask("G1X-40Y120F6000")
-    scara.ask("G4P.01", limit_us=10_000_000)
-    begun = scara.pico.us
+    scara.ask("G4P.01", limit_us=10_000_000)  # the end of motion
+    begun_us = scara.pico.us
     scara.ask("G1X40Y121F6000", limit_us=20_000_000)
-    assert (scara.pico.us - begun) / 57 < _CHORD_US
-    assert left >= _HEAP
+    assert (scara.pico.us - begun_us) / 57 < _CHORD_US
+    assert free_bytes >= _HEAP
 
 
 def test_backlash_is_compensated_to_the_step(uf2: Path, tmp_path: Path) -> None:
+    """Backlash of X is 0.1 mm ($160), of Y 0.05 mm ($161). After a move in the negative direction
+    the motor stands that much lower than the axis. Of an arc only the axes' position is
+    checked."""
     file = tmp_path / "pico_backlash.py"
     file.write_text(BOARD_FILE.read_text() + "BACKLASH = True\n")
     machine = live(
@@ -104,8 +111,8 @@ def test_backlash_is_compensated_to_the_step(uf2: Path, tmp_path: Path) -> None:
         "$111=3000",
         "$1=255",
     )
-    made = Odometer(machine.pico, STEP, DIR)
-    for line, motors in (
+    odometer = Odometer(machine.pico, STEP, DIR)
+    for line, motors_mm in (
         ("G0X1Y1", (1, 1)),
         ("G1X0.5F900", (0.4, 1)),
         ("G1X0Y0", (-0.1, -0.05)),
@@ -115,21 +122,22 @@ def test_backlash_is_compensated_to_the_step(uf2: Path, tmp_path: Path) -> None:
         machine.ask(line, limit_us=10_000_000)
         machine.ask("G4P.01", limit_us=10_000_000)
         per_mm = 80
-        found = made.read()
+        motor_steps = odometer.read()
         if line.startswith("G2"):
             continue
-        assert found[:2] == [round(mm * per_mm) for mm in motors], line
-    place = [float(x) for x in machine.status()["MPos"].split(",")]
-    assert place == pytest.approx([1, -1, 0], abs=0.001)
+        assert motor_steps[:2] == [round(mm * per_mm) for mm in motors_mm], line
+    axes_mm = [float(x) for x in machine.status()["MPos"].split(",")]
+    assert axes_mm == pytest.approx([1, -1, 0], abs=0.001)
 
 
 def test_skewed_motors_make_the_simulators_steps(uf2: Path, tmp_path: Path) -> None:
+    """Lines and arcs, with the skew of three planes ($780 to $782)."""
     file = tmp_path / "pico_skew.py"
     file.write_text(BOARD_FILE.read_text() + "SKEW = True\n")
-    leaning = {110: 3000, 111: 3000, 112: 3000, 780: 100, 781: -50, 782: 30}
-    machine = live(uf2, file, *[f"${n}={value}" for n, value in leaning.items()], "$1=255")
-    made = Odometer(machine.pico, STEP, DIR)
-    beside = Machine({**leaning, 1: 255}, load(file), watched=False)
+    settings = {110: 3000, 111: 3000, 112: 3000, 780: 100, 781: -50, 782: 30}
+    machine = live(uf2, file, *[f"${n}={value}" for n, value in settings.items()], "$1=255")
+    odometer = Odometer(machine.pico, STEP, DIR)
+    simulated = Machine({**settings, 1: 255}, load(file), watched=False)
     lines = [
         "G1X4Y-7Z2F2000",
         "X1.3Y.77",
@@ -141,6 +149,6 @@ def test_skewed_motors_make_the_simulators_steps(uf2: Path, tmp_path: Path) -> N
     for line in lines:
         machine.ask(line, limit_us=10_000_000)
         machine.ask("G4P.01", limit_us=10_000_000)
-    beside.play(lines)
-    assert list(made.read()) == beside.physical()
-    assert [float(x) for x in machine.status()["MPos"].split(",")] == beside.reported()
+    simulated.play(lines)
+    assert list(odometer.read()) == simulated.physical()
+    assert [float(x) for x in machine.status()["MPos"].split(",")] == simulated.reported()

@@ -16,6 +16,8 @@ _SETTINGS = [f"${first + axis}={value}" for first, value in _FAST.items() for ax
 
 
 def test_program_for_another_controller_is_drilled(uf2: Path, tmp_path: Path) -> None:
+    """The program waits for the tool change, then drills three holes 1 mm deep, at 100
+    steps/mm."""
     file = tmp_path / "lenient.py"
     file.write_text(BOARD_FILE.read_text() + "\nLENIENT = True\n")
     machine = Board(uf2, {**dict.fromkeys(firmware()), **build.for_board(file).files}).boot()
@@ -32,11 +34,11 @@ def test_program_for_another_controller_is_drilled(uf2: Path, tmp_path: Path) ->
     for line in (*_BEFORE[4:], *_HOLES):
         machine.ask(line, limit_us=20_000_000)
     machine.until_idle(60_000_000)
-    places = [
+    tracks = [  # positions after each step, per axis
         list(accumulate(sign for _, sign in steps(machine.pico.edges, axis))) for axis in range(3)
     ]
-    assert [track[-1] for track in places] == [50, 200, 200]
-    assert [min(track) for track in places] == [1, 1, -100]
-    assert sum(z == -100 for z in places[2]) == 3
+    assert [track[-1] for track in tracks] == [50, 200, 200]  # X.5 Y2 Z2
+    assert [min(track) for track in tracks] == [1, 1, -100]
+    assert sum(z == -100 for z in tracks[2]) == 3  # the bottom of each hole
     assert "error" not in machine.said
     assert machine.ask("$G").startswith("[GC:G0 ")

@@ -34,7 +34,11 @@ _HOLD_US = 2
 
 @pytest.fixture(scope="module")
 def machine(uf2: Path) -> Board:
-    """Start and set up a machine, and record its motor pins."""
+    """Return a machine, set up, its motor pins recorded.
+
+    USER adds commands: $BLOCK blocks the main loop for 200 ms, $COLLECT collects garbage for
+    150 ms, $PRINT sends 200 messages.
+    """
     made = Board(uf2, {"main.py": USER}).boot().settled()
     for setting in SETTINGS:
         assert made.ask(setting).endswith("ok\r\n")
@@ -90,9 +94,11 @@ def moved(machine: Board, lines: "list[str]") -> "list[list[tuple[float, int]]]"
 
 @pytest.fixture(scope="module")
 def made(machine: Board) -> "list[list[tuple[float, int]]]":
-    found = moved(machine, PROGRAM)
+    """Return the steps of the program, (us, sign) per axis, and leave its edges in
+    machine.program_edges."""
+    steps_of_axes = moved(machine, PROGRAM)
     machine.program_edges = list(machine.pico.edges)
-    return found
+    return steps_of_axes
 
 
 @pytest.fixture(scope="module")
@@ -116,17 +122,18 @@ def test_steps_come_at_their_planned_times(
     start = min(axis[0][0] for axis in made if axis)
     start_due = min(axis[0][0] for axis in planned if axis)
     for real, due in zip(made, planned, strict=True):
-        late = [t - start - (d - start_due) for (t, _), (d, _) in zip(real, due, strict=True)]
-        assert max(map(abs, late)) < 5_000
+        late_us = [t - start - (d - start_due) for (t, _), (d, _) in zip(real, due, strict=True)]
+        assert max(map(abs, late_us)) < 5_000
 
 
 def test_pulse_length_and_direction_setup_and_hold_are_kept(
     made: "list[list[tuple[float, int]]]", machine: Board
 ) -> None:
+    """Checked at each edge of both pins, with the time by which the emulator may be late."""
     assert made
     for axis in range(3):
         edges = [e for e in machine.program_edges if e.pin in (STEP[axis], DIR[axis])]
-        rise = change = -1e9
+        rise = change = -1e9  # us: STEP's last rising edge, DIR's last change
         for edge in edges:
             us = edge.ns / 1000
             if edge.pin == DIR[axis]:
@@ -147,30 +154,34 @@ def _intervals(track: "list[tuple[float, int]]", skip: int) -> "list[float]":
 
 @pytest.mark.parametrize("command", ["$BLOCK", "$COLLECT", "$PRINT"])
 def test_motion_is_smooth_while_python_is_busy(machine: Board, command: str) -> None:
+    """The command, which the fixture adds, keeps the main loop busy for 150 ms or more."""
     # At 40 mm/s, 3200 steps/s, for 0.26 s; acceleration and braking take 128 steps each.
     machine.pico.edges.clear()
     machine.ask("G91 G1 X12 F2400")
     machine.pico.run_us(60_000)
     assert steps(machine.pico.edges, 0)
-    since = machine.pico.us
+    sent_us = machine.pico.us
     machine.ask(command)
-    assert machine.pico.us - since > 120_000  # it was busy
+    assert machine.pico.us - sent_us > 120_000  # it was busy
     machine.until_idle()
-    gaps = _intervals(steps(machine.pico.edges, 0), 140)
-    assert len(gaps) > 600
-    assert max(gaps) - min(gaps) <= 2 * max(_TICK_US, 0.01 * 1e6 / 3200)
+    gaps_us = _intervals(steps(machine.pico.edges, 0), 140)
+    assert len(gaps_us) > 600
+    # Each is within a tick, or 1 %, of the interval at 3200 steps/s.
+    assert max(gaps_us) - min(gaps_us) <= 2 * max(_TICK_US, 0.01 * 1e6 / 3200)
 
 
 def test_motors_are_powered_while_they_move_and_released_after(machine: Board) -> None:
-    machine.ask("$1=25")
+    machine.ask("$1=25")  # ms until they are released
     moved(machine, ["G91 G0 X1"])
     machine.pico.run_us(60_000)
     levels = [edge.level for edge in machine.pico.edges if edge.pin == ENABLE]
-    assert levels == [0, 1]
+    assert levels == [0, 1]  # 0: on
 
 
 def test_slow_steps_are_even(machine: Board) -> None:
-    # Slower steps take too long here; host_tests/pio/test_pio.py has them.
+    # 250 mm/min * 80 steps/mm are 333 steps/s, 3000 us apart. Slower steps take too long here;
+    # host_tests/pio/test_pio.py has them.
     tracks = moved(machine, ["G91 G1 X0.5 F250"])
-    gaps = _intervals(tracks[0], 6)
-    assert len(gaps) == 27 and max(abs(gap - 3000) for gap in gaps) <= 30
+    gaps_us = _intervals(tracks[0], 6)
+    # 40 steps without 6 at each end have 27 intervals; each is within 1 %.
+    assert len(gaps_us) == 27 and max(abs(gap - 3000) for gap in gaps_us) <= 30

@@ -154,7 +154,10 @@ ASKS = [
 
 
 def started(uf2: Path, files: "Mapping[str, bytes | None]", says: str) -> Board:
-    """Start a Pico with these files; says is code that scripts its network clients."""
+    """Return a Pico with these files and a stand-in for its network, after its first start.
+
+    says: code that appends to the stand-in's `says` and `asks`, the scripts of its clients.
+    """
     main = _MAIN.replace(b"socket.SAYS", says.encode())
     stand_ins = {"no_network.py": _NETWORK, "no_socket.py": _SOCKET, "main.py": main}
     board = Board(uf2, {**files, **stand_ins}).boot()
@@ -187,21 +190,24 @@ def with_page(uf2: Path) -> Board:
 
 
 def test_caller_with_the_key_gains_control_and_heap_is_free(machine: Board) -> None:
-    """The caller sends lines while no other client does; the cable may after its silence."""
-    machine.pico.run_us(1_300_000)
+    """The caller's line without the key is refused, the one after it moves X to 2 mm. After its
+    silence the cable may send lines."""
+    machine.pico.run_us(1_300_000)  # the caller's script, _SAYS
     machine.forget()
     machine.send("?")
     assert "MPos:2.000,0.000,0.000" in machine.wait_for(">")
-    machine.pico.run_us(3_000_000)
+    machine.pico.run_us(3_000_000)  # the silence
     assert free_bytes(machine) >= _HEAP
 
 
 def test_page_is_served_and_gains_control_and_heap_is_free(with_page: Board) -> None:
-    with_page.pico.run_us(2_500_000)
+    """A browser's script (ASKS): it loads the page, opens the WebSocket, sends the key in two
+    frames, and moves X to 3 mm. Then the cable may send lines."""
+    with_page.pico.run_us(2_500_000)  # the script
     with_page.forget()
     with_page.send("?")
     assert "MPos:3.000,0.000,0.000" in with_page.wait_for(">")
-    with_page.pico.run_us(3_000_000)
-    said = with_page.ask("$U")
+    with_page.pico.run_us(3_000_000)  # the browser's silence
+    said = with_page.ask("$U")  # a command of _MAIN: the last bytes that the browser received
     assert "\\x8a\\x01?" in said and "ok\\r\\n" in said  # the pong, and the answer
     assert free_bytes(with_page) >= _HEAP_WITH_PAGE

@@ -25,6 +25,8 @@ _BRISK = tuple(line.replace("=500", "=1000") for line in _SETTINGS)
 
 
 def test_supply_that_fails_in_a_job_leaves_its_exact_line(uf2: Path, tmp_path: Path) -> None:
+    """The pin POWER_FAIL reports the failure. A Pico that starts with that flash reports line and
+    position, which match the steps made, at 100 steps/mm; the job continues there."""
     flash = made(tmp_path, uf2, _OPTIONS, _BRISK)
     machine = powered(uf2, flash)
     pico = machine.pico
@@ -40,25 +42,27 @@ def test_supply_that_fails_in_a_job_leaves_its_exact_line(uf2: Path, tmp_path: P
     erasures: list[float] = []
     pico.on_program = lambda: programs.append(pico.us)
     pico.on_erase = lambda: erasures.append(pico.us)
-    edge = pico.us
+    failed_us = pico.us
     pico.drive(_PIN, 1)
     pico.run_until(lambda: bool(programs), _LASTS_US, step_us=100)
-    taken = programs[0] + _PAGE_US - edge
-    print(f"{taken / 1000:.1f} ms from the edge to the last byte")
-    assert taken < _LASTS_US and not erasures, "an erasure takes up to 0.4 s"
-    here, flash = odometer.read(), pico.read_flash(0, CHIP.flash)  # and the supply is gone
+    taken_us = programs[0] + _PAGE_US - failed_us
+    print(f"{taken_us / 1000:.1f} ms from the edge to the last byte")
+    assert taken_us < _LASTS_US and not erasures, "an erasure takes up to 0.4 s"
+    made_steps, flash = odometer.read(), pico.read_flash(0, CHIP.flash)  # and the supply is gone
 
     machine = powered(uf2, flash)
     machine.wait_for("last recorded line: ")
     machine.wait_for("]\r\n")
-    found = _REPORT.search(machine.said)
-    assert found, machine.said
-    line = int(found[1])
+    report = _REPORT.search(machine.said)
+    assert report, machine.said
+    line = int(report[1])
     assert f"last recorded line: {line}]" in machine.said
-    at = [round(100 * float(word)) + 200 for word in found.groups()[1:]]  # switches are at 200
-    assert at == here
+    # Machine zero is at the switches, 200 steps from the odometer's origin.
+    reported_steps = [round(100 * float(word)) + 200 for word in report.groups()[1:]]
+    assert reported_steps == made_steps
+    # X and Y are between the ends of that line, within a step.
     for axis, ends in enumerate(zip(place_of(_JOB[line - 2]), place_of(_JOB[line - 1]))):
-        assert min(ends) - 0.011 <= (here[axis] - 200) / 100 <= max(ends) + 0.011
+        assert min(ends) - 0.011 <= (made_steps[axis] - 200) / 100 <= max(ends) + 0.011
     home(machine)
     machine.forget()
     machine.send("$F=@\n")

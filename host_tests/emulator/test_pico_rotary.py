@@ -51,31 +51,32 @@ def test_line_takes_the_time_of_its_linear_axes(machine: Board, odometer: Odomet
         odometer.read()
         machine.ask(line)
         machine.ask("G4P.01", limit_us=3_000_000)
-        turned = [e.ns for e in machine.pico.edges if e.pin == _GANTRY.STEP[3] and e.level]
-        assert (turned[-1] - turned[0]) / 1e9 == pytest.approx(seconds, rel=0.06)
+        a_ns = [e.ns for e in machine.pico.edges if e.pin == _GANTRY.STEP[3] and e.level]
+        assert (a_ns[-1] - a_ns[0]) / 1e9 == pytest.approx(seconds, rel=0.06)
 
 
 def test_every_step_is_made_within_the_stack(machine: Board, odometer: Odometer) -> None:
-    """Lines of the kernel and of the interpreter, and helices, with random steps."""
+    """With random steps: lines for the kernel, lines for the interpreter (with S), and half
+    circles of 2 mm while A turns."""
     chance = random.Random(19)
-    made = odometer.read()
+    due_steps = odometer.read()
     stack = Stack(machine)
     stack.paint()
     machine.ask("G91 G1 F3000")
     for _ in range(60):
-        way = [chance.randrange(-40, 41) * 5 for _ in _PER_UNIT]  # steps
+        steps = [chance.randrange(-40, 41) * 5 for _ in _PER_UNIT]
         words = [
-            f"{axis}{n / per:.4f}" for axis, n, per in zip("XYZA", way, _PER_UNIT, strict=True)
+            f"{axis}{n / per:.4f}" for axis, n, per in zip("XYZA", steps, _PER_UNIT, strict=True)
         ]
         kind = chance.randrange(3)
         if kind == 2:
-            way[:3] = 160, 0, 0
+            steps[:3] = 160, 0, 0  # 2 mm of X, 80 steps/mm
             words = ["G2X2Y0I1J0", words[3]]
         machine.ask(("G1", "S100 G1", "")[kind] + "".join(words))
-        made = [at + n for at, n in zip(made, way, strict=True)]
-    machine.ask("G4P.01", limit_us=5_000_000)
+        due_steps = [at + n for at, n in zip(due_steps, steps, strict=True)]
+    machine.ask("G4P.01", limit_us=5_000_000)  # the end of motion
     assert stack.used() <= SIZE - RESERVE
-    assert odometer.read() == made
+    assert odometer.read() == due_steps
 
 
 def test_heap_is_free(machine: Board) -> None:

@@ -69,6 +69,7 @@ def _rises(edges: "list[Edge]", motor: int) -> "list[float]":
 
 
 def _board(uf2: Path, files: "dict[str, bytes | None]", main: bytes = MAIN) -> Board:
+    """Return a started board with these files, and open inputs."""
     board = Board(uf2, {**files, "main.py": main})
     for pin in (*_SIX.LIMIT, _SIX.PROBE, *_SIX.CONTROL[:3], _SIX.REPL_PIN):
         board.pico.drive(pin, 1)
@@ -84,18 +85,19 @@ def test_every_motor_makes_every_step_of_random_lines(machine: Machine) -> None:
     """It stays within the stack, and the board reports the positions of the motors."""
     chance = random.Random(6)
     board = machine.board
-    made = machine.odometer.read()
+    due_steps = machine.odometer.read()
     stack = Stack(board)
     stack.paint()
     board.ask("G91 G1 F6000")
     for _ in range(50):
-        way = [chance.choice((0, chance.randrange(-200, 201))) for _ in _LETTERS]  # steps
-        words = "".join(f"{a}{n / _PER_MM:.3f}" for a, n in zip(_LETTERS, way, strict=True))
+        steps = [chance.choice((0, chance.randrange(-200, 201))) for _ in _LETTERS]
+        words = "".join(f"{a}{n / _PER_MM:.3f}" for a, n in zip(_LETTERS, steps, strict=True))
+        # Lines for the kernel and, with S, for the interpreter.
         board.ask(chance.choice(("G1", "S100 G1", "")) + words)
-        made = [at + n for at, n in zip(made, way, strict=True)]
-    board.ask("G4P.01", limit_us=5_000_000)
+        due_steps = [at + n for at, n in zip(due_steps, steps, strict=True)]
+    board.ask("G4P.01", limit_us=5_000_000)  # the end of motion
     assert stack.used() <= SIZE - RESERVE
-    assert machine.odometer.read() == made == machine.places()
+    assert machine.odometer.read() == due_steps == machine.places()
 
 
 def test_motors_of_both_pios_step_in_the_same_tick(machine: Machine) -> None:
@@ -108,8 +110,8 @@ def test_motors_of_both_pios_step_in_the_same_tick(machine: Machine) -> None:
         tracks = [machine.rises(motor) for motor in range(6)]
         assert {len(track) for track in tracks} == {2 * _PER_MM}
         for track in tracks[1:]:
-            apart = [abs(a - b) for a, b in zip(tracks[0], track, strict=True)]
-            assert max(apart) <= _TICK_US + _SEEN_US
+            apart_us = [abs(a - b) for a, b in zip(tracks[0], track, strict=True)]
+            assert max(apart_us) <= _TICK_US + _SEEN_US
 
 
 def test_six_motors_at_once_make_250_khz(machine: Machine) -> None:
@@ -117,7 +119,8 @@ def test_six_motors_at_once_make_250_khz(machine: Machine) -> None:
 
 
 def _check_rate(machine: Machine, khz: float) -> None:
-    """Check that all motors at once make that rate, and every step."""
+    """Check that all motors at once make that rate in the middle 10 ms of a move of 46 mm, and
+    every step."""
     board = machine.board
     before = machine.odometer.read()
     board.ask("G91 G1" + "".join(f"{letter}46" for letter in _LETTERS) + "F999999")
@@ -125,7 +128,7 @@ def _check_rate(machine: Machine, khz: float) -> None:
     tracks = [machine.rises(motor) for motor in range(6)]
     middle = (tracks[0][0] + tracks[0][-1]) / 2
     for track in tracks:
-        gaps = [b - a for a, b in pairwise(track) if abs(a - middle) < 5_000]
+        gaps = [b - a for a, b in pairwise(track) if abs(a - middle) < 5_000]  # us
         assert 1e3 * len(gaps) / sum(gaps) == pytest.approx(khz, rel=4e-4)
         assert min(gaps) >= 1e3 // khz - _SEEN_US
     after = machine.odometer.read()
@@ -134,6 +137,7 @@ def _check_rate(machine: Machine, khz: float) -> None:
 
 
 def test_a_board_that_allows_pulses_of_1_us_makes_500_khz_on_six_motors(uf2: Path) -> None:
+    """With $0=1 and an acceleration that reaches this rate."""
     file = for_this_chip(BOARDS / "pico_six.py", "STEP_PULSE_MIN_US = 1")
     made = build.for_board(file).files
     machine = Machine(_board(uf2, {**dict.fromkeys(emulated.firmware()), **made}))
@@ -146,40 +150,42 @@ def test_a_board_that_allows_pulses_of_1_us_makes_500_khz_on_six_motors(uf2: Pat
 def test_reset_stops_all_six_motors_and_their_positions_are_known(
     machine: Machine, ms: float
 ) -> None:
-    """It may come at any time; all six work afterwards."""
+    """ms: from the start of motion, back and forth at 1 m/s, to the reset. All six motors work
+    afterwards."""
     board = machine.board
     board.ask("G91 G1 F60000")
     board.forget()
-    for way in (12, -12, 15):
-        board.send("".join(f"{letter}{way}" for letter in _LETTERS) + "\n")
+    for mm in (12, -12, 15):
+        board.send("".join(f"{letter}{mm}" for letter in _LETTERS) + "\n")
     board.pico.run_us(ms * 1000)
     board.send("\x18")
     assert "ALARM:3" in board.wait_for("Grbl 1.1h"), "it had stopped before"
-    at = machine.odometer.read()
+    stopped_at = machine.odometer.read()
     board.pico.run_us(20_000)
-    assert machine.odometer.read() == at
+    assert machine.odometer.read() == stopped_at
     board.ask("$X")
-    assert machine.places() == at
+    assert machine.places() == stopped_at
     board.ask("G91 G1 F6000" + "".join(f"{a}{k / 10:.1f}" for k, a in enumerate(_LETTERS, 1)))
     board.ask("G4P.01")
-    gone = [b - a for a, b in zip(at, machine.odometer.read(), strict=True)]
-    assert gone == [25 * k for k in range(1, 7)]
+    steps = [b - a for a, b in zip(stopped_at, machine.odometer.read(), strict=True)]
+    assert steps == [25 * k for k in range(1, 7)]  # 0.1 mm of X to 0.6 mm of C, 250 steps/mm
 
 
 @pytest.mark.parametrize("motor", [1, 3, 4, 5])
 def test_any_limit_switch_stops_all_six_motors(machine: Machine, motor: int) -> None:
+    """motor: whose switch closes in motion; no step comes 200 us later."""
     board = machine.board
     board.ask("$21=1")
     board.ask("G91 G1 F6000")
     board.send("".join(f"{letter}3" for letter in _LETTERS) + "\n")
     board.pico.run_us(15_000 + 700 * motor)
-    machine.odometer.read()
-    since = board.pico.us
+    machine.odometer.read()  # clears the edges
+    closed_us = board.pico.us
     board.pico.drive(_SIX.LIMIT[motor], 0)
     board.wait_for("[MSG:Reset to continue]")
-    late = [us for k in range(6) for us in machine.rises(k) if us > since + 200]
+    late_steps = [us for k in range(6) for us in machine.rises(k) if us > closed_us + 200]
     board.pico.drive(_SIX.LIMIT[motor], 1)
-    assert late == []
+    assert late_steps == []
     board.send("\x18")
     board.wait_for("Grbl 1.1h")
     board.ask("$X")
@@ -190,24 +196,31 @@ def test_any_limit_switch_stops_all_six_motors(machine: Machine, motor: int) -> 
 def test_interrupt_of_six_motors_takes_at_most_one_and_a_half_of_three(
     machine: Machine, uf2: Path
 ) -> None:
-    """300 short blocks a second in which every motor moves: the time that a loop loses."""
+    """300 short blocks a second in which every motor moves: the time that a loop loses.
+
+    The other board has three motors, and of the settings those of its axes.
+    """
     three = Board(uf2, {"main.py": MAIN}).boot().settled()
     for setting in _SETTINGS:
-        if int(setting[1:].partition("=")[0]) % 10 < 3:
+        if int(setting[1:].partition("=")[0]) % 10 < 3:  # axes X, Y, Z
             three.ask(setting)
     shares = [_share(board, axes) for board, axes in ((three, 3), (machine.board, 6))]
     assert 0 < shares[1] <= _DEARER * shares[0]
 
 
 def _share(board: Board, axes: int) -> float:
-    (at_rest,) = _numbers(board.ask(f"$COUNT={_COUNTED_US}"))
+    """Return the interrupt's share of the processor's time, from 0 to 1.
+
+    The board counts in a loop for _COUNTED_US, at once ($COUNT) and during motion ($LATER).
+    """
+    (idle_count,) = _numbers(board.ask(f"$COUNT={_COUNTED_US}"))
     board.ask("G91 G1 X1.5 F900")  # 0.1 s in which the short ones are planned
     for k in range(14):
-        each = _MOVE_MM * (1 + k % 3) / 2 / axes**0.5
-        board.ask("".join(f"{letter}{each:.3f}" for letter in _LETTERS[:axes]))
-    (moving,) = _numbers(board.ask(f"$LATER={_COUNTED_US}"))
+        axis_mm = _MOVE_MM * (1 + k % 3) / 2 / axes**0.5
+        board.ask("".join(f"{letter}{axis_mm:.3f}" for letter in _LETTERS[:axes]))
+    (moving_count,) = _numbers(board.ask(f"$LATER={_COUNTED_US}"))
     board.until_idle()
-    return 1 - moving / at_rest
+    return 1 - moving_count / idle_count
 
 
 def _numbers(said: str) -> "list[int]":
