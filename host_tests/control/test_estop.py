@@ -47,6 +47,7 @@ class Machine(Rig):
         failed: list[Exception] = []
 
         def guarded() -> Iterator[Any]:
+            """Wait for the banner, play the script, and note its exception."""
             try:
                 yield lambda: b"Grbl " in self.link.received
                 yield from script()
@@ -66,6 +67,8 @@ def test_motion_and_tool_stop_at_once_and_nothing_unlocks() -> None:
     machine = Machine()
 
     def script() -> Iterator[Any]:
+        """Move with the spindle on; press, try to unlock in several ways, release, and move
+        again."""
         yield from machine.ask("M3 S1000 M8\n", "ok\r\n")
         yield from machine.ask("G1 X100 F500\n", "ok\r\n")
         yield machine.ms(300)
@@ -107,6 +110,7 @@ def test_machine_unlocks_normally_after_estop_in_an_alarm_is_released() -> None:
     machine = Machine(s22=1)
 
     def script() -> Iterator[Any]:
+        """Press and release while the machine is locked; then unlock and move."""
         yield lambda: b"unlock]\r\n" in machine.link.received
         machine.port.push(PRESSED)
         yield machine.ms(50)
@@ -188,6 +192,7 @@ def test_estop_works_in_every_state(
     machine = Machine(_22=1)  # homing enabled: it starts in alarm
 
     def script() -> Iterator[Any]:
+        """Bring the machine into a state, press, and read the alarm."""
         yield from machine.ask("$X\n", "ok\r\n")
         yield from prepare(machine)
         machine.link.received.clear()
@@ -208,6 +213,7 @@ def test_tool_that_a_failed_probing_leaves_on_is_switched_off(touches: bool) -> 
     machine = Machine()
 
     def script() -> Iterator[Any]:
+        """Probe in vain with the spindle on, then press twice."""
         yield from machine.ask("M3 S1000 M8\n", "ok\r\n")
         # touching already: ALARM:4; no contact at all: ALARM:5
         machine.port.push({"probe": touches})
@@ -235,6 +241,7 @@ def test_alarm_after_the_check_for_one_is_reported(pushed: "dict[str, bool]", sa
     fault = machine.engine.fault
 
     def script() -> Iterator[Any]:
+        """Start a move; push the input in the middle of a pass of the main loop."""
         yield from machine.ask("G1 X100 F500\n", "ok\r\n")
         yield machine.ms(300)
         machine.link.received.clear()
@@ -258,6 +265,7 @@ def test_failing_callback_is_an_alarm_with_its_cause() -> None:
     machine = Machine()
 
     def script() -> Iterator[Any]:
+        """Do during a move what a port does whose callback has failed."""
         yield from machine.ask("M3 S1000 G1 X100 F500\n", "ok\r\n")
         yield machine.ms(300)
         machine.link.received.clear()

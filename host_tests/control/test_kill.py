@@ -98,6 +98,7 @@ def interrupted(
     count = 0
 
     def trace(frame: FrameType, event: str, _argument: object) -> Any:
+        """Count bytecodes (a trace function of Python), and interrupt before the one wanted."""
         nonlocal count
         frame.f_trace_opcodes = True
         if event == "opcode":

@@ -201,6 +201,7 @@ def test_motors_stay_on(
     bench = Bench({**settings, 4: inverted})
 
     def script() -> Script:
+        """Start, stop in this way, then reset, unlock and move again."""
         yield from bench.start()
         if 22 in settings:  # homing is enabled: the machine starts locked
             yield from bench.say("$X\n")
@@ -225,6 +226,7 @@ def test_motors_are_on_from_power_up(homing: int) -> None:
     bench = Bench({22: homing})
 
     def script() -> Script:
+        """Start, switch power off and on. The levels are those of the enable pin."""
         yield from bench.start()
         yield from bench.say("")
         assert bench.levels == [0]  # 0: powered
@@ -241,6 +243,7 @@ def test_sleep_releases_motors_until_they_move_again() -> None:
     bench = Bench({})
 
     def script() -> Script:
+        """Move, sleep, reset, unlock, move. Levels of the enable pin: 0 powered, 1 released."""
         yield from bench.start()
         yield from bench.say(_MOVE + "$SLP\n", 5000)
         assert bench.levels == [0, 1]

@@ -214,10 +214,11 @@ def test_hold_after_the_contact_changes_nothing(stop: Stop, word: int) -> None:
 
 @pytest.mark.parametrize("stop", STOPS, ids=lambda stop: stop.name)
 def test_contact_that_ends_before_motion_resumes_is_ignored(stop: Stop) -> None:
-    """A probe z_at_contact by hand during a hold still finds the work afterwards."""
+    """A probe touched by hand during a hold still finds the work afterwards."""
     bench = Bench(stop)
 
     def script() -> Script:
+        """Hold a probing move; touch and release the probe; resume, and touch it further down."""
         yield from bench.begin()
         yield from bench.probe(2, {100: lambda _: bench.hold()})
         held_at = bench.z()
@@ -247,6 +248,7 @@ def test_jog_cancel_does_not_end_a_probe() -> None:
     bench = Bench(STOPS[0])
 
     def script() -> Script:
+        """Probe with G38.3; 50 ms after its first step send the byte that cancels jogs."""
         yield from bench.begin()
         yield from bench.probe(3, {50: lambda _: bench.rig.link.send(b"\x85")})
         yield bench.idle
@@ -262,6 +264,7 @@ def test_machine_does_not_park_while_it_probes() -> None:
     bench = Bench(STOPS[-1])  # parking
 
     def script() -> Script:
+        """Open the door 100 ms after the first step of a probing move; wait, and resume."""
         yield from bench.begin()
         yield from bench.probe(3, {100: lambda _: bench.hold()})
         held_at = bench.z()
@@ -279,6 +282,7 @@ def test_motion_is_free_after_a_reset_in_the_hold_of_a_probe(touches: bool) -> N
     bench = Bench(STOPS[0])  # hold by `!`
 
     def script() -> Script:
+        """Hold a probing move, reset, unlock, and move 1 mm down."""
         yield from bench.begin()
         yield from bench.probe(2, {100: lambda _: bench.hold()})
         yield bench.rig.ms(100)

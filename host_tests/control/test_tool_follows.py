@@ -120,6 +120,7 @@ def test_held_laser_is_dark_after_a_start_that_a_hold_prevents(
     states: list[Shown] = []
 
     def script() -> Iterator[Any]:
+        """Hold with the laser on, resume, and hold again gap_us later; record what is shown."""
         yield from tool.machine.start()
         steps: list[Step] = ["G1F600", "M3S1000", *moves, 100, b"!", 700]
         for step in steps:
@@ -143,6 +144,7 @@ def test_setting_that_darkens_a_laser_leaves_it_dark_after_it_is_stored(line: st
     shown: list[Shown] = []
 
     def script() -> Iterator[Any]:
+        """Switch the laser on, change a setting with a store like that of a board, and record."""
         yield from tool.machine.start()
         store: Any = tool.machine.rig.store
         before, after = tool.machine.rig.controller.around_saves(lambda ms: None, None)

@@ -318,6 +318,8 @@ def test_soft_limit_alarm_comes_after_slowing_down() -> None:
     stopped_in_motion = []
 
     def script() -> Iterator[Any]:
+        """Send a hold and a line beyond the travel during a move; note whether stops cut
+        motion."""
         yield from machine.start()
         stop = rig.engine.stop
 
@@ -341,10 +343,11 @@ def test_store_written_in_motion_is_a_fault() -> None:
     machine = Machine(watched=False)
 
     def script() -> Iterator[Any]:
+        """Save offsets during a move, as no command may."""
         yield from machine.start()
         yield from machine.sender.wait("ms 100", "G1X1F100\n")
         machine.rig.controller.saves.save("coords", [])
-        # does what the main loop does only while idle
+        # the main loop calls this only while the machine is idle
         machine.rig.controller.saves.write_due()
 
     with pytest.raises(RuntimeError, match="while the motors turn"):

@@ -248,7 +248,7 @@ class Bench:
 
 @pytest.mark.parametrize("text", ["G2X3.643Y1.508I2J0Z0.7", "G3X-1Y2R-3", "G18G2X1.5Z0.25R-3"])
 def test_the_last_chord_ends_at_the_target(text: str) -> None:
-    """A line_bench to the same target makes the same steps."""
+    """A line to the same target makes the same steps."""
     arc_bench, line_bench = Bench(), Bench()
     arc_bench.tell("G1F500X0.111Y0.222", text)
     target = list(arc_bench.machine.modes.position)
@@ -306,6 +306,7 @@ def test_a_spindle_override_applies_from_the_next_chords() -> None:
     service, planner = bench.machine.canon.service, bench.machine.planner
 
     def override_at_20() -> None:
+        """Serve the link; the 20th time, override the spindle to 50 %. Note the power planned."""
         service()
         if len(bench.each) == 20:
             bench.machine.state.override_spindle(50)

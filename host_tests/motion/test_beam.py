@@ -58,6 +58,8 @@ def burn(
         burnt.ways += [sign] * row[x_count]
 
     def script() -> Iterator[Any]:
+        """Run the lines (with events: send bytes meanwhile), wait, and record power and
+        position."""
         assert (yield from bench.say(before + "\n", "ok")) == ["ok"]
         bench.rig.engine.trace = trace
         text = "".join(line + "\n" for line in lines)
@@ -159,6 +161,7 @@ def test_the_laser_is_off_in_a_hold_and_dots_continue_after_it() -> None:
     bench = Bench(_SETTINGS, "sim_laser")
 
     def script() -> Iterator[Any]:
+        """Hold 25 ms after the first step, look at the power, and resume."""
         yield from bench.say("G91G1F3000M3S0\n", "ok")
         bench.rig.link.send("".join(cluster(*line) + "\n" for line in lines).encode())
         yield bench.rig.moving
@@ -296,6 +299,7 @@ def test_a_reset_discards_the_dots_of_discarded_lines() -> None:
     powers: list[int] = []
 
     def script() -> Iterator[Any]:
+        """Reset in the first of five lines with dots; unlock, and burn other lines."""
         yield from bench.say("G91G1F3000M3S0\n", "ok")
         bench.rig.link.send("".join(cluster(1.6, [1000, 900]) + "\n" for _ in range(5)).encode())
         yield bench.rig.moving

@@ -111,7 +111,7 @@ def test_an_arc_that_is_short_in_exact_numbers_is_planned_short(
     """Exact fractions give the angle; Arc.sweep() in single precision must find about the same
     length."""
     radius = hypot(*centre)
-    assume(radius > 0.02)  # below it an end may be as far off_circle as the centre
+    assume(radius > 0.02)  # below it an end may be as far off as the centre
     target = tuple(a + b for a, b in zip(start, to_target, strict=True))
     # The firmware's own check: the end lies near the circle.
     off_circle = abs(

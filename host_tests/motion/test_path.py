@@ -70,7 +70,7 @@ def test_lines_that_once_failed_keep_to_the_line(feed: int, was: float) -> None:
 
 
 def test_the_words_of_the_pio_keep_to_the_line() -> None:
-    """The words sent to the state machines, tick the highest rate with pulses of 10 us."""
+    """The words sent to the state machines, at the highest rate with pulses of 10 us."""
     made = bench("pio", 85_000, (10.0, 7.3, -2.2))
     steps = _play_words(made, 1)
     assert (

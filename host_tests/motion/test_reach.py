@@ -43,6 +43,7 @@ def answered(machine: Machine, lines: "list[str]") -> str:
     replies: list[str] = []
 
     def script() -> Iterator[Any]:
+        """Send line by line, each after an answer."""
         yield from machine.start()
         for line in lines:
             replies.clear()

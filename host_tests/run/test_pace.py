@@ -183,6 +183,7 @@ def streamed_s(lines: "list[bytes]", answer_us: int) -> float:
     ticks: list[int] = []
 
     def script() -> Iterator[Any]:
+        """Set up a laser, then stream the lines and note the times of all segments."""
         yield from sender.wait("banner", "")
         for line in LASER:
             yield from sender.wait("ok", line + "\n")

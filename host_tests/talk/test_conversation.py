@@ -104,6 +104,7 @@ def test_a_laser_is_on_again_when_motion_resumes(stop: str, mode: str, at_rest: 
     bench = Bench({32: 1})
 
     def script() -> Script:
+        """Stop a move with the laser on, resume it, and wait for its end; FS is feed and speed."""
         yield from bench.say(mode + "S500\nG91G1X3F300\n", "ok")
         yield bench.rig.ms(200)
         yield from bench.say(stop, "ms 400")
@@ -121,6 +122,7 @@ def test_the_spindle_is_off_and_reported_off_after_homing() -> None:
     bench = Bench({22: 1})
 
     def script() -> Script:
+        """Switch the spindle on, home, and switch it on again. FS: feed, speed."""
         yield from bench.unlock()
         yield from bench.say("M3S500\n")
         assert (yield from status(bench))["FS"] == "0,500"
@@ -152,6 +154,7 @@ def test_each_byte_of_a_burst_of_overrides_counts(count: int, line: str) -> None
     bench = Bench({})
 
     def script() -> Script:
+        """Send feed +10 % and spindle -1 %, `count` times each, in one burst."""
         if line:
             yield from bench.say(line + "\n", "ms 100")
         yield from bench.say("\x91" * count + "\x9d" * count, "ms 200")
@@ -169,6 +172,7 @@ def test_bytes_right_after_an_alarm_are_discarded(sent: str) -> None:
     bench = Bench({})
 
     def script() -> Script:
+        """Reset a move, send more bytes within the silent half second, and wait for the banner."""
         yield from bench.say("G91G1X20F300\n", "ok")
         yield bench.rig.ms(200)
         # a reset during motion is an alarm
@@ -198,6 +202,7 @@ def test_a_reset_during_a_probe_alarm_acts_after_its_report() -> None:
     bench = Bench({})
 
     def script() -> Script:
+        """Probe in vain, wait for the alarm, and reset at once."""
         lines = yield from bench.say("G38.2X1F500\n", "ms 300")
         while lines != ["ALARM:5"]:
             assert not lines
@@ -215,6 +220,7 @@ def test_a_probe_ends_at_its_contact_with_either_polarity(level: int) -> None:
     bench = Bench({6: level})
 
     def script() -> Script:
+        """Probe to a contact; then probe again without one."""
         bench.port.push({"probe": bool(level)})
         yield from bench.say("G91G38.2X5F300\n", "ms 300")
         bench.port.push({"probe": not level})
@@ -232,6 +238,7 @@ def test_a_dwell_reacts_to_a_hold_at_its_next_tick() -> None:
     bench = Bench({})
 
     def script() -> Script:
+        """Hold 110 ms after the beginning of a dwell, and resume."""
         assert (yield from bench.say("G4P0.5\n", "ms 110")) == []
         yield from bench.say("!", "ms 60")
         assert fields((yield from bench.say("?", "report")))[""] == "Hold:0"
@@ -261,6 +268,7 @@ def test_offsets_are_stored_at_rest_if_a_reset_interrupts_the_store() -> None:
     was_moving: list[bool] = []
 
     def script() -> Script:
+        """Reset the machine while G10 reports changed offsets; note when they are stored."""
         controller = bench.rig.controller
         save = bench.rig.store.save
 

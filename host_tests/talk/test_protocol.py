@@ -138,6 +138,7 @@ class Turns:
         """Answer all lines in check mode, as fast as they can be sent."""
 
         def script() -> "Iterator[Any]":
+            """Switch check mode on, then send the text and wait for all answers."""
             yield from self.sender.wait("banner", "")
             yield from self.sender.wait("ok", "$C\n")
             self.sender.take()
@@ -193,6 +194,8 @@ def test_a_laser_is_off_in_a_hold_whatever_lines_come(line: str) -> None:
     lit_ms: "list[float]" = []
 
     def script() -> "Iterator[Any]":
+        """Hold a move with the laser on, with 2000 lines behind the `!`; measure how long it
+        burns."""
         yield from sender.wait("banner", "")
         for text in ("$32=1", "M3S500", "G1X50F600"):
             yield from sender.wait("ok", text + "\n")

@@ -25,7 +25,7 @@ def board(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> "I
 
 
 def test_outputs_have_their_levels(board: Any) -> None:
-    board.make_outputs((15, 16, 17), 0b101)
+    board.make_outputs((15, 16, 17), 0b101)  # levels: bit 0 is that of the first pin
     levels = [machine.Pin.pins[pin].value() for pin in (15, 16, 17)]
     board.write(0b010)
     assert levels == [1, 0, 1]
@@ -34,15 +34,16 @@ def test_outputs_have_their_levels(board: Any) -> None:
 
 @pytest.mark.parametrize("level", [0, 1])
 def test_a_switch_is_reported_when_it_closes(board: Any, level: int) -> None:
-    seen: "list[int]" = []
-    closed = board.watch(20, level, lambda: seen.append(level))
+    """level: of the closed switch, which is reported once; opening is not reported."""
+    reports: "list[int]" = []
+    is_closed = board.watch(20, level, lambda: reports.append(level))
     pin = machine.Pin.pins[20]
     pin.drive(1 - level)
-    assert not closed() and not seen
+    assert not is_closed() and not reports
     pin.drive(level)
-    assert closed() and seen == [level]
+    assert is_closed() and reports == [level]
     pin.drive(1 - level)
-    assert len(seen) == 1
+    assert len(reports) == 1
 
 
 def test_a_chip_has_one_engine(board: Any) -> None:

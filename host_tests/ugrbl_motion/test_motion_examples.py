@@ -50,43 +50,48 @@ def test_an_example_has_at_most_thirty_lines(name: str) -> None:
 
 def step_ends(hardware: SimHardware, axis: int) -> "list[tuple[int, int]]":
     """Return (tick of the last step of a row, steps made so far) of an axis."""
-    base = ROW_AXES + 3 * axis
-    found, made = [], 0
+    count_at = ROW_AXES + 3 * axis
+    ends, made = [], 0
     for start, row in hardware.made:
-        made += row[base]
-        if row[base]:
-            found.append((start + row[base + 2], made))
-    return found
+        made += row[count_at]
+        if row[count_at]:
+            ends.append((start + row[count_at + 2], made))
+    return ends
 
 
 @pytest.mark.parametrize("seconds", [100, pytest.param(3600, marks=pytest.mark.thorough)])
 def test_the_mount_follows_the_sky_with_an_error_below_1e_6(seconds: int) -> None:
+    """mount.py slews both axes, then tracks for `seconds` at 15 arc seconds per second."""
     hardware = ran("mount", ("3600)", f"{seconds})"))
-    per_arcsec = 200 * 64 * 3 * 144 / 1_296_000
+    per_arcsec = 200 * 64 * 3 * 144 / 1_296_000  # steps; 1296000 arc seconds are first_steps turn
     ends = step_ends(hardware, 1)  # axes are in the order of their names: dec, ra
     hz = hardware.sim.tick_hz
+    # the slew of ra ends at 54000 arc seconds
     slewed = next(made for tick, made in ends if made >= 54_000 * per_arcsec)
     track = [(tick, made) for tick, made in ends if made > slewed + 10][:-10]
-    (first, a), (last, b) = track[0], track[-1]
-    assert last - first > (seconds - 10) * hz
-    rate = (b - a) / per_arcsec / ((last - first) / hz)
+    (first_tick, first_steps), (last_tick, last_steps) = track[0], track[-1]
+    assert last_tick - first_tick > (seconds - 10) * hz
+    rate = (last_steps - first_steps) / per_arcsec / ((last_tick - first_tick) / hz)
     assert abs(rate / 15.0 - 1) < 1e-6
-    # Nor is it ever off: each step within a thousandth of its interval.
+    # Nor is it ever off: each step within first_steps thousandth of its interval.
     interval = hz / (15.0 * per_arcsec)
     for tick, made in track:
-        assert abs(tick - first - (made - a) * interval) < interval / 1000 + 2
-    assert hardware.steps()[0] == round(36_000 * per_arcsec)
+        assert abs(tick - first_tick - (made - first_steps) * interval) < interval / 1000 + 2
+    assert hardware.steps()[0] == round(36_000 * per_arcsec)  # dec
 
 
 def test_the_scanner_triggers_its_camera_after_equal_steps_without_a_stop() -> None:
     hardware = ran("scanner")
     on = [(tick, steps[0]) for tick, levels, steps in hardware.outputs if levels]
     assert len(on) == 36
-    each = 10 * 200 * 16 * 4 / 360
-    assert [steps for _, steps in on] == [round(each * (k + 1)) for k in range(36)]
-    times = [b - a for (a, _), (b, _) in pairwise(on)]
-    second = hardware.sim.tick_hz
-    assert all(abs(time - second / 3) < second / 3 * 0.002 for time in times)  # a step is 0.3 %
+    steps_per_photo = 10 * 200 * 16 * 4 / 360  # 10 degrees
+    assert [steps for _, steps in on] == [round(steps_per_photo * (k + 1)) for k in range(36)]
+    intervals = [b - a for (a, _), (b, _) in pairwise(on)]
+    tick_hz = hardware.sim.tick_hz
+    # a photo every third of a second
+    assert all(
+        abs(time - tick_hz / 3) < tick_hz / 3 * 0.002 for time in intervals
+    )  # a step is 0.3 %
 
 
 DRAWING = """<svg><path id="one" d="M10,10 L30 10 30,20.5 z"/>
@@ -94,36 +99,39 @@ DRAWING = """<svg><path id="one" d="M10,10 L30 10 30,20.5 z"/>
 
 
 def corners(hardware: SimHardware, pen: float = 0.0) -> "list[tuple[float, float]]":
-    """Return the places (mm) between moves with the pen down; pen, x, y are its axes."""
-    places, at, dirs = [], [0, 0, 0], 0
+    """Return the positions (mm) between moves with the pen down. pen: its steps when down; axes:
+    pen, x, y, with 80 steps per mm."""
+    places, steps, dirs = [], [0, 0, 0], 0
     for _, row in hardware.made:
-        before = tuple(at)
+        steps_before = tuple(steps)
         for i in range(3):
             count = row[ROW_AXES + 3 * i]
-            at[i] += -count if row[1] >> i & 1 else count
-        if at[0] == pen and before != tuple(at):
-            places.append((at[1] / 80, -at[2] / 80))
+            steps[i] += -count if row[1] >> i & 1 else count
+        if steps[0] == pen and steps_before != tuple(steps):
+            places.append((steps[1] / 80, -steps[2] / 80))
         dirs = row[1]
     assert dirs >= 0
     return places
 
 
 def test_the_plotter_draws_the_paths(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The corners of the paths are reached within 0.5 mm; places off them are not."""
     (tmp_path / "drawing.svg").write_text(DRAWING)
     monkeypatch.chdir(tmp_path)
     places = corners(ran("plotter"))
-    near = lambda x, y: min(abs(x - a) + abs(y - b) for a, b in places)  # noqa: E731
+    distance = lambda x, y: min(abs(x - a) + abs(y - b) for a, b in places)  # noqa: E731
     for place in ((10, 10), (30, 10), (30, 20.5), (20, 15.25), (5, 5), (9.5, 0.5), (10.5, -0.5)):
-        assert near(*place) < 0.5, place
-    assert near(6.125, 2.1) < 0.6  # on the curve
-    assert near(20, 18) > 2 and near(15, 5) > 2  # no line is there
-    assert near(3, 0) < 0.1
+        assert distance(*place) < 0.5, place
+    assert distance(6.125, 2.1) < 0.6  # on the curve
+    assert distance(20, 18) > 2 and distance(15, 5) > 2  # no line is there
+    assert distance(3, 0) < 0.1  # end of the last curve
 
 
 def test_the_drawing_of_the_example_is_drawn_and_ends_with_the_pen_up() -> None:
     hardware = ran("plotter")
-    assert hardware.steps()[0] == 800
+    assert hardware.steps()[0] == 800  # the pen, up
     places = corners(hardware)
+    # size of the drawing, mm
     assert max(x for x, _ in places) == 55 and max(y for _, y in places) == 45
 
 
@@ -132,10 +140,10 @@ def test_the_drawing_of_the_example_is_drawn_and_ends_with_the_pen_up() -> None:
 def test_both_pythons_move_equally(name: str) -> None:
     script = f"import sys; sys.argv[1:] = ['{name}.py']; __import__('sim.group_program')"
     script += "; sys.modules['sim.group_program'].main()"
-    there = run_micropython(script, paths=[FIRMWARE, _TOOLS], heapsize="64M")
+    in_micropython = run_micropython(script, paths=[FIRMWARE, _TOOLS], heapsize="64M")
     command = [sys.executable, "-m", "ugrbl.sim.group_program", f"{name}.py"]
-    here = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    assert here == there and "steps" in here
+    in_python = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert in_python == in_micropython and "steps" in in_python
 
 
 _TASKS = """
@@ -179,6 +187,8 @@ asyncio.run(main())
 
 @needs_micropython
 def test_tasks_run_in_micropython(tmp_path: Path) -> None:
+    """Homing, stop and pace by tasks; what the script prints: position 4 = 3 + 1 and -800 + 80
+    steps; then checks."""
     out = run_micropython(_TASKS, paths=[FIRMWARE, _TOOLS], heapsize="64M")
     assert out.splitlines() == ["4.0 -720", "True True True", "True"]
 
@@ -220,5 +230,6 @@ micropython.heap_unlock()
 
 @needs_micropython
 def test_the_interrupts_path_allocates_nothing() -> None:
+    """In an interrupt MicroPython cannot allocate memory; heap_lock() forbids it here."""
     out = run_micropython(_NO_ALLOCATION, paths=[FIRMWARE, _TOOLS])
     assert out == "nothing allocated True\n"
