@@ -225,7 +225,7 @@ def test_every_example_is_short_and_has_its_test() -> None:
 def changed(shop: Make, **more: Any) -> Shop:
     """Return a machine whose sensor is touched 35 mm down."""
     made = shop("tool_length", **more)
-    made.switch(2, False, -35)
+    made.switch(axis=2, above=False, mm=-35)
     return made
 
 
@@ -275,6 +275,7 @@ def test_length_is_restored_after_a_reset_and_power_off(shop: Make) -> None:
 
 
 def test_pressed_sensor_is_reported_and_nothing_moves(shop: Make) -> None:
+    """The PROBE input is the sensor: it is closed before T2 M6, which is refused."""
     made = shop("tool_length")
     made.rig.port.push({"probe": True})
     assert made.say("M3 S1000", "T2 M6") == ["ok", "error:3"]
@@ -603,7 +604,7 @@ def test_guarded_probe_stops_at_an_obstacle(shop: Make, line: str) -> None:
     seen: place after the stop, 2 s later, a report, place after a jog by -30 mm.
     """
     made = shop("guard", settings={110: 1500})
-    made.switch(0, True, 20)
+    made.switch(axis=0, above=True, mm=20)
     seen: list[Any] = []
 
     def script() -> "Iterator[Any]":
@@ -636,7 +637,7 @@ def test_guarded_probe_can_probe_and_be_pulled_back(shop: Make) -> None:
     M114 P0 switches the guard off: then X30 is reached.
     """
     made = shop("guard")
-    made.switch(0, True, 20)
+    made.switch(axis=0, above=True, mm=20)
     lines = ("M114 P1", "G0 X10", "G38.2 X50 F300", "G0 X5", "G38.2 X50 F300", "G0 X0", "M114 P0")
     assert made.say(*lines, "G0 X30") == ["ok"] * 8
     assert made.place()[0] == 30 and "ALARM:34" not in made.answers
@@ -645,7 +646,7 @@ def test_guarded_probe_can_probe_and_be_pulled_back(shop: Make) -> None:
 def test_rapid_before_a_probing_move_is_guarded(shop: Make) -> None:
     """The probing line is read while the rapid before it is still executed."""
     made = shop("guard", settings={110: 1500})
-    made.switch(0, True, 20)
+    made.switch(axis=0, above=True, mm=20)
 
     def script() -> "Iterator[Any]":
         yield from made.send("M114 P1")
@@ -1288,7 +1289,7 @@ def test_silent_inverter_stops_the_machine(inverter: Shop) -> None:
 
 
 def test_spindle_that_does_not_reach_its_speed_stops_the_job(inverter: Shop) -> None:
-    """The inverter does not change its speed (slow): alarm, and the move after M3 has not begun."""
+    """The inverter does not speed up (slow): alarm; the move after M3 has not begun."""
 
     def script() -> "Iterator[Any]":
         Inverter.slow = True
@@ -1350,6 +1351,7 @@ def test_curve_is_cut_without_stops_and_lifts(shop: Make) -> None:
     """Eight lines along a parabola, with small angles between them."""
     lines = ["G101 X%d Y%.3f" % (10 * i, i * i / 4) for i in range(1, 9)]
     made, places = knife(shop, "G0 Z5", *lines)
+    # All places from the first one at full depth on.
     cutting = places[next(i for i, place in enumerate(places) if place[2] == -1.5) :]
     # The step engine started for the moves before the cut, and once for all of the cut.
     assert all(place[2] == -1.5 for place in cutting) and made.rig.engine.starts <= 3
@@ -1394,6 +1396,7 @@ def test_straight_sequence_of_lines_lifts_no_blade(shop: Make) -> None:
     """Five lines in one direction are one cut at Z-4; a reset stops the blade."""
     lines = ["G111 X%d Y%.2f" % (10 * i, 0.2 * i) for i in range(1, 6)]
     made, places = swinging(shop, "G0 Z5", *lines)
+    # All places from the first one at full depth on.
     cutting = places[next(i for i, place in enumerate(places) if place[2] == -4) :]
     assert all(place[2] == -4 for place in cutting) and made.is_on("blade")
     assert made.say("\x18", "$X") and not made.is_on("blade")
@@ -1548,6 +1551,7 @@ def test_cut_follows_the_map_even_after_power_off(shop: Make) -> None:
     places: "list[tuple[float, ...]]" = []  # at the end of each segment
     made.rig.engine.trace = lambda start, row: places.append(made.place())
     assert made.say("G102 Z-0.1 F300", "G102 X40 Y20 F3000", "G102 X0 F3000") == ["ok"] * 3
+    # All places from where X has left 0 on.
     cutting = places[next(i for i, place in enumerate(places) if place[0] > 0.1) :]
     assert len(cutting) > 50 and made.place()[:2] == (0, 20)
     for x, y, z in cutting:

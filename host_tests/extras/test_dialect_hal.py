@@ -230,6 +230,8 @@ def test_text_rows_fit_into_lines() -> None:
 
 
 def test_missing_text_file_is_reported_with_the_remedy(converse: Any, monkeypatch: Any) -> None:
+    """hal.txt, which has the descriptions of $ES, cannot be opened."""
+
     def steps(talk: Talk) -> Steps:
         monkeypatch.setattr(dialect_hal, "texts", lambda: open("/nowhere/hal.txt", "rb"))
         lines = yield from talk.ask("$ES\n")
@@ -239,6 +241,8 @@ def test_missing_text_file_is_reported_with_the_remedy(converse: Any, monkeypatc
 
 
 def test_unknown_commands_are_refused(converse: Any) -> None:
+    """$EX does not exist; $HELP does, and replies as $."""
+
     def steps(talk: Talk) -> Steps:
         assert (yield from talk.ask("$EX\n")) == ["error:3"]
         assert (yield from talk.ask("$HELP\n")) == (yield from talk.ask("$\n"))
@@ -265,7 +269,7 @@ def test_unanswered_bytes_of_gsender_are_not_lost(converse: Any) -> None:
     lines = [f"G1 X{k % 2}.{k % 10}00 Y0.{k % 10}00 F1200\n" for k in range(31)]
 
     def steps(talk: Talk) -> Steps:
-        """Fill a buffer of 1024 bytes at once, during a move; every line must be answered."""
+        """Send up to 724 bytes at once, during a move; every line must be answered."""
         yield from talk.ask("G1 X5 F600\n")
         sent = "".join(lines)[:724].rpartition("\n")[0] + "\n"
         talk.rig.link.send(sent.encode())  # all at once, during the move
@@ -423,13 +427,13 @@ def test_gsender_stops_a_job_by_force(converse: Any) -> None:
 
 
 def test_reset_during_a_stop_is_one_reset(converse: Any) -> None:
-    """With 5 mm/s2 the stop (0x19) decelerates for seconds. A reset within them is sent."""
+    """With 5 mm/s2 the stop (0x19) decelerates for seconds. A reset (0x18) comes in this time."""
 
     def steps(talk: Talk) -> Steps:
         """Reset (0x18) while a stop (0x19) decelerates with 5 mm/s2: one welcome."""
         yield from talk.ask("$110=6000\n$120=5\n")
         yield from talk.ask("G1X50F1200\n", "ok")
-        yield from talk.after(3000)
+        yield from talk.after(3000)  # its speed is now 15 mm/s
         yield from talk.after(100, "\x19")
         assert (yield from talk.after(2000, "\x18")).count(_WELCOME) == 1
 

@@ -147,10 +147,10 @@ def test_excluded_driver_is_not_addressed() -> None:
 def test_wire_is_silent_during_motion() -> None:
     """Datagrams are sent while idle only, because they take time and interrupt step pulses."""
     on = machine(_HOMING)
-    fit(on)
+    fit(on)  # switches for $H
     on.play(["$H", "G1X-5F900", "G4P0.2", "G2X-10I-2.5", "$J=G91X-3F600", "G1Y-5", "$TMC"])
     assert on.rig.drivers.datagrams > 50
-    assert on.rig.drivers.in_motion == 0
+    assert on.rig.drivers.in_motion == 0  # datagrams during motion
 
 
 # Faults
@@ -300,10 +300,10 @@ class Stall(Switch):
     def closed(self, steps: int) -> bool:
         """Return whether DIAG is high at this position; record the threshold (0: off)."""
         threshold = self.driver.registers.get(model.SGTHRS, 0)
-        closed = super().closed(steps) and threshold > 0
-        if closed:
+        is_high = super().closed(steps) and threshold > 0
+        if is_high:
             self.felt.append(threshold)
-        return closed
+        return is_high
 
 
 def fit(on: Machine, above: int = 700) -> "list[int]":

@@ -117,7 +117,7 @@ def test_gantry_is_square_within_a_step_for_any_offset() -> None:
         racked, offset = chance.randint(-600, 600), round(chance.uniform(-3, 3), 3)
         seek = chance.choice((600, 1500, 3000))
         negative = chance.random() < 0.5
-        gantry = Gantry(racked, {25: seek, 171: offset, 23: 2 if negative else 0})
+        gantry = Gantry(racked, settings={25: seek, 171: offset, 23: 2 if negative else 0})
         if negative:  # the switch of Y is at the other end
             for switch in gantry.rig.engine.switches:
                 if switch.axis in (1, 3):
@@ -136,7 +136,7 @@ def test_offset_moves_the_motor_that_must_be_further_away(offset: float) -> None
 
     Both motors are then moved to Y-4.
     """
-    gantry = Gantry(0, {171: offset})
+    gantry = Gantry(settings={171: offset})
     gantry.told("$H", "G90 G53 G0 Y-4")
     _, y, _, y2 = gantry.physical()
     assert abs(y - y2 - offset * _STEPS_PER_MM) <= 1
@@ -145,7 +145,7 @@ def test_offset_moves_the_motor_that_must_be_further_away(offset: float) -> None
 
 
 def test_one_axis_homed_alone_is_squared() -> None:
-    gantry = Gantry(200, SINGLE_AXIS_HOMING=True)
+    gantry = Gantry(racked=200, SINGLE_AXIS_HOMING=True)
     gantry.told("$HY")
     x, y, _, y2 = gantry.physical()
     assert x == 0 and abs(y2 - y - 200) <= 1
@@ -153,7 +153,7 @@ def test_one_axis_homed_alone_is_squared() -> None:
 
 def test_both_motors_home_as_one_without_a_second_switch() -> None:
     """Y homes by its one switch; the pull-off is 1 mm."""
-    gantry = Gantry(0, LIMIT=(0, 1, 2, None))
+    gantry = Gantry(LIMIT=(0, 1, 2, None))
     output = gantry.told("$H", "$$")
     _, y, _, y2 = gantry.physical()
     assert y == y2 and abs(y - (_AT - _STEPS_PER_MM)) <= 1
@@ -179,7 +179,7 @@ def test_missing_switch_is_an_alarm(switches: "dict[str, int]", alarm: str) -> N
 
     Alarm 10: only one motor has found its switch; alarm 9: none.
     """
-    gantry = Gantry(0, {130: 200, 131: 20}, switches)
+    gantry = Gantry(settings={130: 200, 131: 20}, switches=switches)
     output = gantry.told("$H")
     assert [line for line in output if line.startswith("ALARM")] == [alarm]
     _, y, _, y2 = gantry.physical()
@@ -191,7 +191,7 @@ def test_missing_switch_is_an_alarm(switches: "dict[str, int]", alarm: str) -> N
 def test_repeated_homing_racks_no_further() -> None:
     """Y's second switch never closes. The racking limit of 10 mm holds for all homings together,
     until the gantry is straightened by hand and the board restarts."""
-    gantry = Gantry(0, {}, {"limit_y2": _DEAD})
+    gantry = Gantry(switches={"limit_y2": _DEAD})
 
     def script() -> Any:
         """Home four times, each with an alarm, and move Y back in between."""
@@ -212,7 +212,7 @@ def test_repeated_homing_racks_no_further() -> None:
 @pytest.mark.parametrize("offset", [6, -6])
 def test_offset_beyond_the_racking_limit_homes_repeatedly(offset: float) -> None:
     """$171 is 6 mm, and the racking limit 5 mm (5 % of 100): a wanted offset is not racking."""
-    gantry = Gantry(0, {171: offset, 130: 100})
+    gantry = Gantry(settings={171: offset, 130: 100})
     output = gantry.told("$H", "G91 G1 Y-2 F3000", "$H", "G1 Y-2", "$H")
     assert not any("ALARM" in line for line in output[2:])
     _, y, _, y2 = gantry.physical()
@@ -228,7 +228,7 @@ def test_false_switch_signal_leaves_no_rack(ms: int) -> None:
         """Home, and close Y's second switch for 2 ms at the time `ms`."""
         yield from gantry.start()
         gantry.rig.link.send(b"$H\n")
-        yield gantry.rig.ms(ms)  # Y is homed in this time
+        yield gantry.rig.ms(ms)  # the tested times are within the homing of Y
         gantry.rig.port.push({"limit_y2": True})
         yield gantry.rig.ms(2)
         gantry.rig.port.push({"limit_y2": False})
@@ -249,7 +249,7 @@ def test_racking_limit_is_a_setting(settings: "dict[int, float]", mm: float) -> 
 
     It is $347 percent (5) of the travel of X ($130), at least $348 (2.5 mm), at most $349 (25 mm).
     """
-    gantry = Gantry(0, {131: 60, **settings}, {"limit_y2": _DEAD})
+    gantry = Gantry(settings={131: 60, **settings}, switches={"limit_y2": _DEAD})
     gantry.told("$H")
     _, y, _, y2 = gantry.physical()
     assert mm * _STEPS_PER_MM < y2 - y < (mm + 0.5) * _STEPS_PER_MM
@@ -260,14 +260,14 @@ def test_racking_limit_is_a_setting(settings: "dict[int, float]", mm: float) -> 
 def test_all_motors_move_after_a_stop_at_any_time(ms: int, stop: str) -> None:
     """A reset or an open door so many ms after $H, at which a motor of Y may be moved alone."""
     door = stop == "door"
-    gantry = Gantry(400, {171: 0.7}, SAFETY_DOOR=door)
+    gantry = Gantry(racked=400, settings={171: 0.7}, SAFETY_DOOR=door)
     gantry.told("$H", at_ms=((ms, "\x84" if door else _RESET),))
     assert_alive(gantry)
 
 
 def test_closed_switch_at_the_start_is_refused_with_the_reason() -> None:
     """Y's second switch closes above -5 steps: it is closed at 0, where the gantry starts."""
-    gantry = Gantry(0, {}, {"limit_y2": -5})
+    gantry = Gantry(switches={"limit_y2": -5})
     output = gantry.told("$H", at_ms=((1000, _RESET),))
     index = output.index("[MSG:Y: move off the closed limit switch first]")
     # As Grbl with two switches on one input.
@@ -277,7 +277,7 @@ def test_closed_switch_at_the_start_is_refused_with_the_reason() -> None:
 
 def test_either_switch_is_reported_and_stops_the_machine() -> None:
     """Hard limits ($21): here the second switch, at 800 steps, closes long before the first."""
-    gantry = Gantry(0, {22: 0, 21: 1}, {"limit_y": 2000})
+    gantry = Gantry(settings={22: 0, 21: 1}, switches={"limit_y": 2000})
     output = gantry.told("G91 G1 Y8 F3000", at_ms=((2000, _RESET),))
     assert "ALARM:1" in output
     assert [line for line in output if "|Pn:Y|" in line]
@@ -286,7 +286,7 @@ def test_either_switch_is_reported_and_stops_the_machine() -> None:
 
 def test_switches_may_be_normally_closed() -> None:
     """$5: a motor without an input must not count as open."""
-    gantry = Gantry(0, {5: 1, 22: 0}, LIMIT=(0, 1, 2, None))
+    gantry = Gantry(settings={5: 1, 22: 0}, LIMIT=(0, 1, 2, None))
     gantry.rig.port.push(dict.fromkeys(gantry.rig.port.limit_names[:3], True))
     assert not [line for line in gantry.told("") if "Pn:" in line]
 
@@ -300,7 +300,7 @@ def test_second_motor_turns_as_the_settings_say() -> None:
     pins: mask of inverted direction pins; the motors of Y are bits 1 and 3.
     """
     for inverted, ganged_inverted, pins in ((0, 0, 0), (2, 0, 0b1010), (2, 2, 0b0010)):
-        gantry = Gantry(0, {3: inverted, 8: ganged_inverted, 22: 0})
+        gantry = Gantry(settings={3: inverted, 8: ganged_inverted, 22: 0})
         gantry.told("G91 G1 Y1 F3000")
         assert gantry.rig.engine.dir_invert == pins
         signs = [-1 if pins >> motor & 1 else 1 for motor in (1, 3)]
@@ -312,7 +312,7 @@ def test_direction_of_a_second_motor_never_changes_alone() -> None:
 
     $2 and $3 invert step and direction pins of Y, $8 the direction of its second motor.
     """
-    gantry = Gantry(0, {2: 2, 3: 2, 8: 2, 22: 0})
+    gantry = Gantry(settings={2: 2, 3: 2, 8: 2, 22: 0})
     configured: "list[tuple[int, int]]" = []  # masks of inverted step and direction pins
     configure = gantry.rig.engine.configure
 
@@ -423,7 +423,7 @@ def test_switch_of_a_second_motor_can_be_placed_by_an_option(tmp_path: Path) -> 
 
 
 def test_missing_switch_is_not_an_input_of_the_simulator() -> None:
-    names = inputs.names(Gantry(0, LIMIT=(0, 1, 2, None)).rig)
+    names = inputs.names(Gantry(LIMIT=(0, 1, 2, None)).rig)
     assert list(names) == ["probe", "limit_x", "limit_y", "limit_z", "reset", "hold", "start"]
 
 

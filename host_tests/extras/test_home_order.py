@@ -116,7 +116,10 @@ def test_axes_homed_together_move_at_their_slowest_rate() -> None:
 
 @pytest.mark.parametrize("ms", [50, 400])
 def test_rates_are_restored_after_a_reset(ms: int) -> None:
-    """While X is homed, its own feed and seek rate ($180, $190) are in place of $24 and $25."""
+    """While X is homed, its own feed and seek rate ($180, $190) are in place of $24 and $25.
+
+    ms: time of a reset after the start of homing.
+    """
     machine, _ = homed({180: 60, 190: 600}, stop_ms=ms)
     assert "ALARM:6" in machine.received
     machine.play(["$X", "$$"])
