@@ -588,11 +588,15 @@ JOB = [
     "G1X-8F3000",
     "$J=X1F500",
 ]
+# At ms: a hold and its end, feed override +10 % and -10 %, a report.
 EVENTS = [(150, "!"), (500, "~"), (600, "\x91"), (900, "?"), (1200, "\x92")]
 
 
 def test_board_with_the_limit_off_moves_like_one_without_the_module() -> None:
-    """JOB has lines, an arc and a jog; EVENTS are a hold, its end, overrides and a report."""
+    """JOB has lines, an arc and a jog.
+
+    EVENTS are a hold, its end, a report, and feed overrides.
+    """
     # Rates in mm/min and accelerations in mm/s2 of X and Y. $800 to $802 (jerk) are 0.
     settings = {110: 3000.0, 111: 3000.0, 120: 200.0, 121: 200.0}
     assert played(Machine(settings, board()), JOB, EVENTS) == played(
@@ -665,6 +669,7 @@ def test_homing_ends_at_the_same_place_as_without_the_limit() -> None:
     """Homing, motion and homing again, without and with a limit of jerk."""
     positions = []
     for limited in ({}, LIMITED):
+        # $22 to $27: homing enabled, its rates, debounce in ms, pull-off in mm.
         settings = {22: 1, 24: 150.0, 25: 1200.0, 26: 5, 27: 0.5, 110: 3000.0, 120: 200.0}
         machine = Machine({**settings, **limited}, board())
         for axis, pin in enumerate(("limit_x", "limit_y", "limit_z")):

@@ -153,6 +153,7 @@ def test_report_in_motion_has_the_speed_of_the_beam(
         for number in range(22):  # a report every 29 ms, and an override
             yield rig.ms(29)
             if number == 11:
+                # Each byte lowers the spindle override by 10 %.
                 rig.link.send(b"\x9b\x9b\x9b")
                 continue
             rig.link.send(b"?")
@@ -293,6 +294,7 @@ def test_dot_below_0_is_refused_wherever_it_is(dots: str) -> None:
     """S with colons is the power of each dot of a line of pixels; none may be negative."""
     machine = Machine({32: 1}, "sim_laser", watched=False)
     answers: "list[str]" = []
+    # converse() calls the function with each line and its replies.
     machine.converse(
         ["G21G91G1F3000M3", f"X0.8{dots}"], lambda line, replies: answers.append(replies[-1])
     )

@@ -43,7 +43,10 @@ Place = tuple[float, ...]
 
 
 def board(kind: str, **options: Any) -> ModuleType:
-    """Return the example's board file for the simulator, with fine steps; options change it."""
+    """Return the example's board file for the simulator, with fine steps; options change it.
+
+    $1=255: motors stay on; $100 to $102: steps per unit; $110 to $112: rates.
+    """
     example = load(_EXAMPLES / {"scara": "my_scara.py", "polar": "my_plotter.py"}[kind])
     module = ModuleType("board")
     defaults = {**example.DEFAULTS, 1: 255, **{100 + i: _FINE for i in range(3)}}
@@ -408,6 +411,7 @@ def test_probe_reports_a_contact_in_the_middle_of_a_long_line(kind: str) -> None
         cnc.rig.port.push({"probe": at[0] > x + 10.0})
         places.append(at)
 
+    # The engine calls trace() for each row of steps.
     call_trace: Any = cnc.rig.engine.trace
 
     def trace(start: int, row: "array[int]") -> None:
@@ -463,14 +467,14 @@ def test_touch_that_ends_during_a_hold_is_ignored_on_a_long_line(kind: str) -> N
 
 @pytest.mark.parametrize("kind", _KINDS)
 def test_homing_moves_joints_to_their_switches_and_sets_the_tools_position(kind: str) -> None:
-    """HOME has the joints at their switches.
+    """HOME in the example's module has the joints at their switches.
 
-    The tool's position follows from it after the pull-off.
+    After the pull-off from there, the tool's position is that of forward().
     """
     model = geometry(kind)
     cnc = machine(kind, {22: 1, 24: 600, 25: 3000, 26: 5})
     pull_off = {"scara": 5.0, "polar": 2.0}[kind]  # $27 of the example boards
-    at_upper_end = [True, kind == "polar", True]
+    at_upper_end = [True, kind == "polar", True]  # of the range of each joint
     for i, letter in enumerate("xyz"):
         # Without HOME the switch defines the place.
         distance = model.HOME[i] - model.START[i] or 9.0

@@ -7,7 +7,7 @@ The failing supply opens a contact (the edge), and lasts 100 ms longer. Power.fa
 a job and fails so late after its beginning. Then `writes` has the ms of page writes after the
 edge, `steps` the motors' steps at each ms. Power.cut(ms) returns the flash if the supply is gone
 at that ms; Power.starts(flash) returns the output of the next start. Power.at(ms) is the position
-then.
+then. ALARM:36 is that of a failed supply, and ALARM:3 that of a lost position.
 """
 
 import copy
@@ -22,7 +22,7 @@ from machine import Pin
 from ports.storage import prepared_page
 from test_jobs import FAST, HOMED, Bench, homed, say, to_its_end
 
-_PIN = 22
+_PIN = 22  # of the contact; 0: the supply is present
 _PAGE_MS = 3  # to write a page of flash
 _STEPS_PER_MM = 250
 _JOB = "PART.NC"
@@ -182,8 +182,8 @@ def test_job_resumes_at_the_exact_line_of_the_failure(power: Power, tmp_path: Pa
     assert power.steps[0] != power.steps[-1] == power.steps[int(power.writes[0]) + 1]
     lines = power.line_at(power.steps[-1])
 
-    output = power.starts(power.cut(100))
     # The supply is gone 100 ms after the edge.
+    output = power.starts(power.cut(100))
     parts = report(output)
     assert parts["job"] == _JOB and parts["sure"] == _CERTAIN and int(parts["line"]) in lines
     assert place(parts) == power.at(200)
@@ -455,6 +455,6 @@ def test_board_whose_flash_has_no_page_says_so(
     monkeypatch.setattr(prepared_page, "flash_of_chip", lambda: None)
     output = power.fails_in_job(100)
     assert "ALARM:36" in output and power.writes == []
-    Pin(_PIN).drive(0)
+    Pin(_PIN).drive(0)  # the supply is back
     output = power.bench.run(say("$G", wait_s=0))
     assert output[0].startswith("[MSG:POWER_FAIL: no free page of flash")

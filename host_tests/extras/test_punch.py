@@ -6,6 +6,7 @@ fully up, and at a stroke that begins during motion.
 Bench.lines() sends lines that must be answered with ok, Bench.passes(ms) lets time pass and
 returns the output. Bench.port is the simulated punch: its place() is from 0 (up) to 1 (down),
 `dead` is a mask of sensors that never respond, and if it is `stuck`, it does not move.
+M3 and M4 arm the punch, M5 disarms it. A silent lower sensor is ALARM:32, an upper one ALARM:33.
 """
 
 import math

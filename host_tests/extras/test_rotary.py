@@ -47,7 +47,10 @@ def played(
     events: "Sequence[tuple[int, str]]" = (),
     **options: Any,
 ) -> Machine:
-    """Return a machine after these lines; events: real-time bytes at their ms."""
+    """Return a machine after these lines; events: real-time bytes at their ms.
+
+    _SWIFT has such high rates and accelerations that ramps hardly count.
+    """
     machine = Machine({**_SWIFT, **(settings or {})}, board(axes, **options))
     machine.play(lines, events)
     return machine
@@ -118,6 +121,7 @@ def test_limit_switches_of_six_axes_are_reported_by_letter() -> None:
 
 def test_one_of_six_axes_is_homed_alone() -> None:
     """$HC homes C only, at a rate of 3000 and an acceleration of 400."""
+    # $22 to $27: homing enabled, its rates, debounce in ms, pull-off in mm.
     settings = {22: 1, 24: 300, 25: 3000, 26: 5, 27: 1, **{110 + i: 3000.0 for i in range(6)}}
     machine = Machine(
         {**settings, **{120 + i: 400.0 for i in range(6)}},

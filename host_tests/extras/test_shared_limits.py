@@ -100,7 +100,7 @@ def test_homing_does_not_start_with_a_closed_switch(axis: int) -> None:
     # It is closed at the start.
     cnc.rig.engine.switches[axis] = Switch(f"limit_{'xyz'[axis]}", axis, True, 0)
     cnc.rig.port.update()
-    cnc.play(["$H"], [(1500, "\x18")])
+    cnc.play(["$H"], [(1500, "\x18")])  # a reset ends the alarm
     assert "[MSG:Move off the closed limit switch first]" in cnc.received
     assert "ALARM:1" in cnc.received
     assert cnc.physical() == [0, 0, 0]
@@ -115,7 +115,7 @@ def test_cycle_of_two_axes_that_share_is_refused() -> None:
     cnc.play(["$44=3", "$45=1", "$46=0"])
     assert cnc.received.count("error:3") == 1
     cnc = machine({44: 0, 45: 0, 46: 0})
-    cnc.play(["$H"], [(3000, "\x18")])
+    cnc.play(["$H"], [(3000, "\x18")])  # a reset ends the alarm
     reason = "X and Y share a limit input: home them one after the other, by $44 to $49"
     assert f"[MSG:{reason}]" in cnc.received
     assert "ALARM:6" in cnc.received
@@ -155,7 +155,7 @@ def test_any_of_the_switches_stops_motion(axis: int) -> None:
     """$21=1 enables hard limits. The report has all axes that share the input."""
     for switch_at in range(300, 2300, 271):
         cnc = machine({21: 1, 22: 0}, at=switch_at)
-        cnc.play([f"G1{'XYZ'[axis]}20F1500", "G4P0.1"], [(4000, "\x18")])
+        cnc.play([f"G1{'XYZ'[axis]}20F1500", "G4P0.1"], [(4000, "\x18")])  # a reset ends the alarm
         assert "ALARM:1" in cnc.received
         assert any("|Pn:XYZ" in line for line in cnc.received if line.startswith("<"))
         assert cnc.physical()[axis] == switch_at  # no step after the one that closed it

@@ -131,7 +131,7 @@ def test_inverse_is_exact_for_any_numbers(numbers: "list[int]", skew: "tuple[flo
 
     Numbers 0 to 2 are axis steps, and 6 to 8 the motor steps at homing.
     """
-    kinematics = SkewKinematics(3, [1, 2, 4], 0)
+    kinematics = SkewKinematics(3, [1, 2, 4], 0)  # a motor for each of X, Y, Z (bits)
     kinematics.set_factors([mm / 1000 for mm in skew])
     for axis in range(3):
         kinematics.note_homed(array("i", numbers[6:]), axis)
@@ -183,7 +183,7 @@ def test_tool_stays_on_an_arc(plane: str) -> None:
         angle = atan2(position[second], position[first] - 20)
         if last_angle is not None:
             step = angle - last_angle
-            turned_rad += step - 6.283185307179586 * round(step / 6.283185307179586)  # 2 pi
+            turned_rad += step - 6.283185307179586 * round(step / 6.283185307179586)  # by 2 pi
         last_angle = angle
         assert position[helix_axis] == pytest.approx(
             3 * abs(turned_rad) / 6.283185307179586, abs=3 * allowed_mm
@@ -471,6 +471,7 @@ def test_positions_follow_a_change_of_skew_and_lines_continue_there() -> None:
             steps_and_reports.append((cnc.physical(), cnc.reported()))
 
     cnc.run(script())
+    # After $780=50, G0Z1, G0X10 and $780=0: motor steps, then reported mm.
     assert steps_and_reports[1] == ([2500, 5000, 0], [11, 20, 0])
     assert steps_and_reports[3] == ([2500, 5000, 250], [11, 20, 1])
     assert steps_and_reports[5] == ([2250, 5000, 250], [10, 20, 1])
@@ -491,15 +492,16 @@ def test_parking_moves_the_tool_straight_up_and_back() -> None:
         steps_before = cnc.physical()
         cnc.take()
         cnc.rig.link.send(b"G1X-10F600\n")
-        yield cnc.rig.ms(800)
+        yield cnc.rig.ms(800)  # in motion
         cnc.rig.link.send(b"\x84")  # door
-        yield cnc.rig.ms(14_000)
+        yield cnc.rig.ms(14_000)  # the tool is raised
         yield from cnc.sender.wait("report", "?")
         door_report = [line for line in cnc.take() if line.startswith("<Door")][-1]
         x, y, z = [float(n) for n in door_report.split("MPos:")[1].split("|")[0].split(",")]
         assert -40 < x < -10 and y == pytest.approx(-60, abs=0.002)
         assert z == pytest.approx(-5, abs=0.005)
         moved_steps = [b - a for a, b in zip(steps_before, cnc.physical(), strict=True)]
+        # The move began at X-40, and Z was raised from -90 to -5.
         assert tool(moved_steps) == pytest.approx([x + 40, 0, 85], abs=0.02)
         yield from cnc.rest()
 
@@ -541,7 +543,7 @@ def test_axes_may_have_different_resolutions() -> None:
 
 
 def test_settings_may_be_negative_are_listed_bounded_and_stored() -> None:
-    """At most 100 mm/m in both directions."""
+    """A skew is at most 100 mm/m in both directions: other values are refused by error 3."""
     cnc = machine((0, 0, 0), watched=False)
     cnc.play(["$780=-1.75", "$781=100.001", "$782=-101", "$781=nan", "$130=-1", "$$"])
     assert cnc.received.count("error:3") >= 2 and "error:4" in cnc.received

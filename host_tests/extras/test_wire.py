@@ -34,7 +34,10 @@ def board(**options: Any) -> ModuleType:
 
 
 def played(*lines: str, **options: Any) -> Machine:
-    """Return a wire cutter after these lines."""
+    """Return a wire cutter after these lines.
+
+    _SWIFT has such high rates and accelerations that ramps hardly count.
+    """
     machine = Machine(_SWIFT, board(**options))
     machine.play(lines)
     return machine
@@ -120,6 +123,7 @@ def test_rates_of_a_jog_and_in_inches_are_those_of_the_longer_end() -> None:
 
 def homed(**options: Any) -> Machine:
     """Return a machine after $H, with a switch per motor, each at another distance."""
+    # $22 to $27: homing enabled, its rates, debounce in ms, pull-off in mm.
     settings = {22: 1, 24: 300, 25: 3000, 26: 5, 27: 1, **{110 + i: 3000.0 for i in range(4)}}
     machine = Machine({**settings, **{120 + i: 400.0 for i in range(4)}}, board(**options))
     switches = machine.rig.engine.switches
