@@ -482,7 +482,7 @@ class Options(Protocol):
     """Options that an extra's prepare() may change before the machine is built."""
 
     axes: int
-    axis_letters: str  # of these axes, and more
+    axis_letters: bytes  # of these axes, and more
     kinematics: Kinematics | None  # None: each motor moves the axis of its own number
     settings: type[Settings]
     inputs: type[Inputs]

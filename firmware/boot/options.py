@@ -4,13 +4,13 @@ tools/boardfile/options.py lists every option with its meaning. This module is n
 machine is built: a board forgets it then.
 """
 
-from base.axes import LETTERS
 from base.settings import Settings
 from base.text import text_of
 from control.canon import Canon
 from control.homing_probing import HomingProbing
 from control.inputs import Inputs
 from control.spindle import Spindle
+from language.block import VALUE_LETTERS
 from language.block_layout import HIGHEST_TOOL
 from language.words import LINE_LENGTH
 from micropython import const
@@ -36,7 +36,7 @@ class Options:
         option = board.__dict__.get  # getattr() would intern the names for good
 
         self.axes: int = len(option("STEP", ()))
-        self.axis_letters = LETTERS  # of all possible axes: the machine uses the first `axes`
+        self.axis_letters = VALUE_LETTERS  # the machine has the first ones
         self.motors = self.axes
         self.engine: str = option("ENGINE", "")
         self.blocks: int = option("PLANNER_BLOCKS", 16)

@@ -127,7 +127,7 @@ def _make_states(machine: Controller, options: Options) -> None:
 def _make_language(machine: Controller, options: Options) -> None:
     """Create the G-code parser and interpreter."""
     block = Block(
-        options.axis_letters[: options.axes].encode(),
+        options.axis_letters[: options.axes],
         options.mist,
         options.override_control,
         options.highest_tool,

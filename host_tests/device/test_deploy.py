@@ -223,7 +223,7 @@ def test_board_gets_only_modules_that_it_can_use() -> None:
 def test_every_choice_is_an_existing_module_and_used_by_some_board() -> None:
     """All options at once, with each engine, link and tool: every module is needed by one of
     these boards, except modules that none imports."""
-    assert {*build._SWITCHED, *build._PARTS} <= {build.module(one) for one in build.sources()}
+    assert {*build._SWITCHED, *build._CREATORS} <= {build.module(one) for one in build.sources()}
     used: set[str] = set()
     for engine in engines.engines():
         for link in engines.links():

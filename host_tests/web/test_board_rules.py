@@ -231,7 +231,7 @@ def test_every_option_is_in_form_or_pin_or_excluded() -> None:
     in_a_file_only = {
         *("I2S", "I2S_RATE_HZ", "I2S_BUFFERS", "MOVES", "TMC2209", "TMC_UART", "TMC_SENSE_MOHM"),
         *("CONTROL_INVERT", "DEFAULTS", "SD_CARD", "KINEMATICS", "EXTRAS", "CUSTOM"),
-        *("POWER_FAIL", "POWER_FAIL_MS", "POWER_FAIL_UP_MM"),
+        *("POWER_FAIL", "POWER_FAIL_MS", "POWER_FAIL_UP_MM", "XYUV"),
         *("PUNCH_DOWN", "PUNCH_UP", "PUNCH_DOWN_SENSOR", "PUNCH_UP_SENSOR", "PUNCH_TIMEOUT_MS"),
         *("SEGMENT_QUEUE", "ANSWER_US", "LOOP_US", "START_US", "PUNCH_STROKE_MS"),
     }

@@ -85,7 +85,7 @@ def prepare(options: "Options", board: "ModuleType") -> None:
     for word in _EXCLUDED:
         if board.__dict__.get(word):
             raise ValueError("XYUV and %s are not for the same machine" % word)
-    options.axis_letters = "XYUV"
+    options.axis_letters = b"XYUV"
     options.planner, options.canon = WirePlanner, WireCanon
 
 

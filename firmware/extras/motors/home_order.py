@@ -56,7 +56,7 @@ def prepare(options: "Options", board: "ModuleType") -> None:
     for i, word in enumerate(words):
         mask = 0
         for letter in word:
-            axis = options.axis_letters[: options.axes].find(letter)
+            axis = options.axis_letters[: options.axes].find(letter.encode())
             if axis < 0 or named >> axis & 1:
                 raise ValueError("HOMING: %s is no axis, or there twice" % letter)
             named |= 1 << axis
