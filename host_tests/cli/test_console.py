@@ -98,9 +98,9 @@ def test_many_lines_at_once_do_not_overfill_the_buffer(bench: Bench, person: Per
 
 
 def test_realtime_bytes_are_not_sent_within_lines(bench: Bench, person: Person) -> None:
-    """Ö is two bytes above 0x7F, which Grbl takes as realtime commands.
+    """Ö has two bytes above 0x7F, which Grbl would take as realtime commands.
 
-    It is refused in words, and left out of a comment.
+    The line is not sent, or without Ö where it stands in a comment.
     """
     person.desk.enter("G0 X1 Ö")
     assert "not sent" in person.heard[-1]

@@ -253,7 +253,10 @@ WRONG_WORDS = [
 
 @pytest.mark.parametrize(("words", "said"), WRONG_WORDS)
 def test_wrong_options_are_answered_with_the_right_form(words: str, said: str) -> None:
-    """The files named in the options: a program, an empty folder, and a package."""
+    """WRONG_WORDS has for each wrong option a part of the message.
+
+    job.nc, the folder `empty` and the folder `package`, with an __init__.py, are named in them.
+    """
     Path("job.nc").write_text("G0 X1\n")
     Path("empty").mkdir()
     written("", "package/__init__.py")
@@ -683,10 +686,9 @@ def read_at_start(disk: "dict[str, bytes]", folder: Path, monkeypatch: Any) -> "
 def test_push_cut_anywhere_leaves_old_or_new_files_and_the_next_push_succeeds(
     old: "dict[str, str]", new: "dict[str, str]", tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Power is cut after 0, 1, 2, ...
+    """Power is cut after each number of effects of a push, from 0 on, until one push is complete.
 
-    effects of a push, until one is complete. Each time the firmware must find all old files or all
-    new ones.
+    Each time the firmware must find all old files or all new ones.
     """
     old_files, new_files = (
         {path: text.encode() for path, text in files.items()} for files in (old, new)
@@ -703,6 +705,7 @@ def test_push_cut_anywhere_leaves_old_or_new_files_and_the_next_push_succeeds(
             assert shelf.disk == {**new_files, "board.py": b""}, "no other file is left"
         else:
             assert shelf.disk == {**new_files, "board.py": b""}
+            # Each file takes at least one effect.
             assert cut > len(new_files)
             return
     raise AssertionError("push never completed")
@@ -712,7 +715,7 @@ def test_push_cut_anywhere_leaves_old_or_new_files_and_the_next_push_succeeds(
 def test_remove_deletes_file_and_traceback(old: "dict[str, str]") -> None:
     """The user's files, remains of an interrupted push, and the stored traceback are removed.
 
-    Returns False if there was nothing.
+    remove() returns False if there was nothing.
     """
     shelf = FakeShelf(
         {**old, "custom.py.new": "x", "custom.part/a.py": "x", "saved/custom.old": "t"}

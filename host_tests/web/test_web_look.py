@@ -201,6 +201,7 @@ def test_reported_travel_violation_matches_machine() -> None:
     """The firmware's own soft limits refuse the same line."""
     from ugrbl.web.preview import preview as looked
 
+    # Half circles of radius 4 mm; that of line 20 ends at X-98, beyond the travel of 94.5 mm.
     program = "".join(f"G0 X{-10 * n}\nG2 X{-10 * n - 8} I-4 F900\n" for n in range(12))
     settings = {"20": "1", "22": "1", "130": "94.5", "131": "50", "132": "50", "110": "6000"}
     preview = looked({"program": program, "settings": settings, "place": [0, -10, 0]}, "sim")

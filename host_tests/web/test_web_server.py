@@ -646,8 +646,8 @@ async def test_reloads_and_slow_readers_change_no_step(
         ]
         await _stream(driver, lines)
         await driver.report("Idle")
-        for storm in reloading_clients:
-            storm.cancel()
+        for client in reloading_clients:
+            client.cancel()
         counts = await asyncio.gather(*reloading_clients, return_exceptions=True)
         assert all(isinstance(count, asyncio.CancelledError) for count in counts)
         assert not site.log
