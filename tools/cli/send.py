@@ -35,6 +35,17 @@ class Mode(str, Enum):
     LINE = "line"
 
 
+_FromLine = Annotated[
+    int,
+    typer.Option(
+        *("--from-line", "--from"),
+        metavar="N",
+        min=1,
+        help="Begin at line N, with the modes and position that the earlier lines lead to.",
+    ),
+]
+
+
 def command(
     file: Annotated[
         Path,
@@ -55,16 +66,7 @@ def command(
     keep_going: Annotated[
         bool, typer.Option("--keep-going", help="Continue after refused lines.")
     ] = False,
-    from_line: Annotated[
-        int,
-        typer.Option(
-            "--from-line",
-            "--from",
-            metavar="N",
-            min=1,
-            help="Begin at line N, with the modes and position that the earlier lines lead to.",
-        ),
-    ] = 1,
+    from_line: _FromLine = 1,
     board: Annotated[
         str | None, typer.Option(metavar="NAME", help="The simulator's board, for --check.")
     ] = None,

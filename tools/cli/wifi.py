@@ -36,10 +36,7 @@ def command(
     ] = None,
     new_key: Annotated[
         bool,
-        typer.Option(
-            "--new-key",
-            help="Create a new key for access over the network; the old one becomes invalid.",
-        ),
+        typer.Option("--new-key", help="Create a new network key; the old one becomes invalid."),
     ] = False,
     off: Annotated[bool, typer.Option("--off", help="Forget the network.")] = False,
 ) -> None:
@@ -49,12 +46,7 @@ def command(
 
     New settings take effect at the board's next start. See docs/network.md.
     """
-    if name is None and (open_ or access_point):
-        raise failed("--open and --access-point want the network's --name")
-    if open_ and access_point:
-        raise failed("the board's own network needs a password: leave out --open")
-    if off and name is not None:
-        raise failed("use only one of --off and --name")
+    _check_together(name is not None, open_, access_point, off)
     password = _password(open_) if name is not None else None
     # None leaves a value unchanged.
     wanted = wifi.Wanted(
@@ -81,6 +73,16 @@ def command(
         )
     console.print(f"network: {network}", highlight=False, soft_wrap=True)
     console.print(f"key:     {key}", highlight=False, soft_wrap=True)
+
+
+def _check_together(name: bool, open_: bool, access_point: bool, off: bool) -> None:
+    """End the command if options that were given exclude each other, or need another one."""
+    if not name and (open_ or access_point):
+        raise failed("--open and --access-point want the network's --name")
+    if open_ and access_point:
+        raise failed("the board's own network needs a password: leave out --open")
+    if off and name:
+        raise failed("use only one of --off and --name")
 
 
 def _password(is_open: bool) -> str:
