@@ -32,7 +32,10 @@ _LIVES = sorted({seed // TRIALS_PER_LIFE for seed in _SEEDS})
 
 @pytest.fixture(scope="module")
 def machine(uf2: Path) -> Board:
-    """Return a board that is set up; SILENCE changes a source of the firmware (injection.py)."""
+    """Return a board that is set up.
+
+    SILENCE shortens the silence of the firmware after an alarm: a trial takes less time.
+    """
     made = Board(uf2, altered(*SILENCE)).boot().settled()
     for setting in SETTINGS:
         assert made.ask(setting) == "ok\r\n"

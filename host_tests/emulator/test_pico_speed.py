@@ -111,9 +111,9 @@ _NOT_HERE = ("a limit switch to the last edge",)
 
 
 def table() -> "dict[str, list[str]]":
-    """Return the cells after the first of each row."""
-    _, _, behind = _DOCUMENT.partition("## On a Pico")
-    lines = behind[behind.index("\n| ---") + 1 :].splitlines()[1:]
+    """Return the document's table: the cells of each row by its first cell."""
+    _, _, section = _DOCUMENT.partition("## On a Pico")
+    lines = section[section.index("\n| ---") + 1 :].splitlines()[1:]
     end = next(i for i, line in enumerate(lines) if not line.startswith("|"))
     rows = [line.strip("|").split("|") for line in lines[:end]]
     return {row[0].strip(): [cell.strip() for cell in row[1:]] for row in rows}
@@ -123,33 +123,37 @@ TABLE = table()
 
 
 def figures(cell: str) -> "list[tuple[float, float]]":
-    """Return the numbers of a cell, each with half of its last digit."""
-    found = [
+    """Return the numbers of a cell, each with half a unit of its last digit: 1.9 with 0.05."""
+    numbers = [
         text.replace(",", "") for text in re.findall(r"\d[\d,]*\d(?:\.\d+)?|\d(?:\.\d+)?", cell)
     ]
-    return [(float(text), 0.5 * 10.0 ** -len(text.partition(".")[2])) for text in found]
+    return [(float(text), 0.5 * 10.0 ** -len(text.partition(".")[2])) for text in numbers]
 
 
 def measured(uf2: Path, parts: "Sequence[str]", cached: bool = False) -> "dict[str, float]":
-    """Run parts of the benchmark; return its figures by row."""
+    """Run parts of the benchmark, with or without the flash cache; return its figures by row."""
     bench = Bench(uf2, cache=cached)
     return {row.name: row.figure for part in parts for row in bench_board._PARTS[part](bench)}
 
 
 def wrong(cell: str, row: str, found: "dict[str, float]", of: "Sequence[str]" = ()) -> "list[str]":
-    """Return the wrong figures of a cell. of: benchmark rows, if not all of the table's row."""
+    """Return a message for each figure of a cell that differs by more than 10 % and rounding.
+
+    row: key in _ROWS; found: measured figures by the benchmark's row; of: benchmark rows, if not
+    all of the table's row.
+    """
     scale, names = _ROWS[row]
     names = of or names
     stated = figures(cell)
     assert stated and len(stated) in (1, len(names)), f"{cell!r} is for {names}"
     faults = []
-    for name, (figure, half) in zip(names, cycle(stated)):
+    for name, (figure, rounding) in zip(names, cycle(stated)):  # one figure may stand for all
         if not name:
             continue
-        got = found[name] * scale
-        allowed = _WORSE * figure + (_BYTES if "bytes" in cell else half)
-        if abs(got - figure) > allowed:
-            faults.append(f"{name}: {figure:g} stated, {got:.4g} measured")
+        result = found[name] * scale
+        allowed = _WORSE * figure + (_BYTES if "bytes" in cell else rounding)
+        if abs(result - figure) > allowed:
+            faults.append(f"{name}: {figure:g} stated, {result:.4g} measured")
     return faults
 
 
@@ -160,10 +164,11 @@ def of_row(row: str) -> str:
 
 
 def test_figures_of_the_table_are_measured_again(uf2: Path) -> None:
+    """The table states the least and the most of some of the benchmark's figures."""
     found = measured(uf2, _PARTS)
     found.update(measured(uf2, _FAR))
-    long = [found[name] for name in _LONG]
-    found.update({"least of long moves": min(long), "most of long moves": max(long)})
+    shares = [found[name] for name in _LONG]
+    found.update({"least of long moves": min(shares), "most of long moves": max(shares)})
     rows = [row for row in TABLE if row not in _NOT_HERE]
     faults = [fault for row in rows for fault in wrong(TABLE[row][0], of_row(row), found)]
     assert not faults, "\n".join(faults)
@@ -181,6 +186,7 @@ _STREAMS = (
 
 
 def test_figures_of_streams_hold_with_the_flash_cache(uf2: Path) -> None:
+    """The second column of the table."""
     if not xip.is_there():
         pytest.skip("the model of the flash cache is not compiled: make compiled-emulator")
     found = measured(uf2, _CACHED, cached=True)
@@ -188,18 +194,21 @@ def test_figures_of_streams_hold_with_the_flash_cache(uf2: Path) -> None:
     for row in TABLE:
         if row.startswith(_STREAMS):
             _, names = _ROWS[of_row(row)]
-            asked = [name for name in names if name]  # only the first column repeats the others
-            faults += wrong(TABLE[row][1], of_row(row), found, asked)
+            # The second column lacks the figures that were given and not measured ("").
+            measured_names = [name for name in names if name]
+            faults += wrong(TABLE[row][1], of_row(row), found, measured_names)
     assert not faults, "\n".join(faults)
 
 
 def test_stated_figures_are_compared() -> None:
+    """Test figures() and wrong() themselves, and that _ROWS has every row of the table."""
     assert figures("2610 and 23,000 chords/s") == [(2610, 0.5), (23000, 0.5)]
     assert figures("0, 67 and 2600 bytes") == [(0, 0.5), (67, 0.5), (2600, 0.5)]
     assert figures("1.9, 5.3 and 6.7 %")[1] == (5.3, pytest.approx(0.05))
     row = "short moves in check mode"
-    for got, faults in ((2200, 0), (1981, 0), (1970, 1), (2425, 1)):
-        assert len(wrong("2200 lines/s", row, {"short moves, check mode": got})) == faults
+    # 2200, 10 % and half a unit: from 1979.5 to 2420.5.
+    for result, faults in ((2200, 0), (1981, 0), (1970, 1), (2425, 1)):
+        assert len(wrong("2200 lines/s", row, {"short moves, check mode": result})) == faults
     assert not wrong(
         "249.5 kHz each", "step rate on one", dict.fromkeys(_ROWS["step rate on one"][1], 249.0)
     )
@@ -211,7 +220,8 @@ def test_stated_figures_are_compared() -> None:
 
 @pytest.fixture(scope="module")
 def circling(uf2: Path) -> "Iterator[Talk]":
-    """Start a board with the settings of circles."""
+    """Yield a conversation with a board that has the settings of circles and stands at their
+    start."""
     talk = Talk(EmulatedWire(Board(uf2, {"main.py": MAIN}).boot().settled()))
     set_up(talk)
     for line in (*CIRCLE, "G90G0X10Y10"):
@@ -221,10 +231,10 @@ def circling(uf2: Path) -> "Iterator[Talk]":
 
 
 def _left(talk: Talk, lines: "list[str]") -> int:
-    """Return the bytes that lines leave on the heap."""
+    """Return the bytes that lines leave on the heap, without a garbage collection."""
     inside(talk, "$COLLECT=1")
     inside(talk, "$GC=0")
-    (before,) = inside(talk, "$ALLOC")
+    (before,) = inside(talk, "$ALLOC")  # allocated bytes
     stream(talk, lines, 15)
     (after,) = inside(talk, "$ALLOC")
     inside(talk, "$GC=1")
@@ -232,8 +242,10 @@ def _left(talk: Talk, lines: "list[str]") -> int:
 
 
 def test_chords_leave_nothing_on_the_heap(circling: Talk) -> None:
-    many = _left(circling, circles(1))
+    """The same circles with fewer chords, by a larger tolerance ($12), leave as many bytes: the
+    difference is at most a byte for each chord."""
+    bytes_of_many = _left(circling, circles(1))
     idle(circling)
     circling.ask("$12=0.002")
-    fewer = _left(circling, circles(1))
-    assert (many - fewer) / CIRCLE_CHORDS <= 1
+    bytes_of_fewer = _left(circling, circles(1))
+    assert (bytes_of_many - bytes_of_fewer) / CIRCLE_CHORDS <= 1

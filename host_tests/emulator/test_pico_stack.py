@@ -69,13 +69,17 @@ class Stack:
 
     @contextmanager
     def sampled(self) -> "Iterator[None]":
-        """Sample main and irqs meanwhile; irqs do not include the depth of interrupted code."""
+        """Sample main, starts and irqs meanwhile, every _SAMPLE_US.
+
+        irqs do not include the depth of interrupted code.
+        """
         run_us = self._pico.run_us
         # (interrupt, stack pointer at its start, whether the engine was running)
         nested: list[tuple[int, int, bool]] = []
-        before, _ = self._pico.stack()
+        before, _ = self._pico.stack()  # stack pointer at the last sample
 
         def sample(us: float) -> None:
+            """Run for this time like run_us(), and sample the stack."""
             nonlocal before
             end = self._pico.us + us
             while self._pico.us < end:
@@ -87,6 +91,7 @@ class Stack:
                         runs = self._runs()
                         self.main[runs] = max(self.main[runs], TOP - pointer)
                 else:
+                    # Interrupts that were on top of this one have returned.
                     while any(n == number for n, _, _ in nested[:-1]):
                         nested.pop()
                     if not nested or nested[-1][0] != number:
@@ -106,6 +111,7 @@ class Stack:
 
 @pytest.fixture(scope="module")
 def machine(uf2: Path) -> Board:
+    """Return a board that is set up, with hard limits."""
     made = Watched(uf2).boot().settled()
     for setting in ("$110=9000", "$111=9000", "$112=3000", "$120=1000", "$121=1000", "$122=500"):
         made.ask(setting)
@@ -122,23 +128,27 @@ def stack(machine: Board) -> "Iterator[Stack]":
 
 
 def stream(machine: Board, lines: "tuple[str, ...]", rounds: int, query_ms: float) -> None:
-    """Count characters as senders do, send ? regularly, and wait until the machine is idle."""
+    """Stream the lines so many times, send "?" every query_ms, and wait until the machine is idle,
+    at its start.
+
+    Characters are counted as senders do: no more than _RX_BYTES are unanswered.
+    """
     pico = machine.pico
     machine.ask("G91")
     start = machine.status()["MPos"]
     machine.forget()
-    query = pico.us + query_ms * 1000
-    left = [line + "\n" for line in lines * rounds]
+    next_query_us = pico.us + query_ms * 1000
+    to_send = [line + "\n" for line in lines * rounds]
     sent: list[str] = []
     while machine.said.count("ok\r\n") < len(lines) * rounds:
-        waiting = sent[machine.said.count("ok\r\n") :]
-        while left and sum(map(len, waiting)) + len(left[0]) <= _RX_BYTES:
-            waiting.append(left[0])
-            sent.append(left[0])
-            machine.send(left.pop(0))
-        if pico.us >= query:
+        unanswered = sent[machine.said.count("ok\r\n") :]
+        while to_send and sum(map(len, unanswered)) + len(to_send[0]) <= _RX_BYTES:
+            unanswered.append(to_send[0])
+            sent.append(to_send[0])
+            machine.send(to_send.pop(0))
+        if pico.us >= next_query_us:
             machine.send("?")
-            query += query_ms * 1000
+            next_query_us += query_ms * 1000
         pico.run_us(500)
         assert "Uncaught" not in machine.said and "error" not in machine.said, machine.said
     machine.until_idle()
@@ -161,6 +171,7 @@ def unlock(machine: Board) -> None:
 
 
 def talk(machine: Board) -> None:
+    """Send system commands; the second $C ends check mode by a reset."""
     for line in ("$I+", "$$", "$#", "$G", "$N", "$N0=G54", "$N0=", "$130=300", "G10L2P2X1"):
         machine.ask(line)
     machine.ask("$RST=#")
@@ -173,6 +184,7 @@ def talk(machine: Board) -> None:
 
 
 def modes(machine: Board) -> None:
+    """Stream lines that change modes, twice, with "?" every 17 ms."""
     stream(
         machine,
         ("G91G1X0.3F3000", "M3S100", "G4P0.001", "M8", "G90", "G91", "M9", "G1X-0.3F2000", "M5"),
@@ -186,16 +198,18 @@ def short_lines(machine: Board) -> None:
 
 
 def jogs(machine: Board) -> None:
+    """Stream jogs, and cancel one in motion."""
     stream(machine, ("$J=X0.1F3000", "$J=X-0.1F3000"), 5, 17)
     machine.forget()
     machine.send("$J=X5F3000\n")
     machine.pico.run_us(50_000)
-    machine.send(b"\x85?")
+    machine.send(b"\x85?")  # jog cancel
     machine.pico.run_us(20_000)
     machine.until_idle()
 
 
 def feed_hold(machine: Board) -> None:
+    """Hold in motion and resume, with requests for the status around both."""
     machine.ask("G91 G1 X3 F3000")
     machine.pico.run_us(30_000)
     machine.send("!?")
@@ -206,11 +220,11 @@ def feed_hold(machine: Board) -> None:
 
 
 def door(machine: Board) -> None:
-    """The spindle is restored after the door, which takes 4 s."""
+    """Open the door in motion and resume: the spindle is restored first, which takes 4 s."""
     machine.ask("M3S500")
     machine.ask("G91 G1 X3 F3000")
     machine.pico.run_us(30_000)
-    machine.send(b"\x84?")
+    machine.send(b"\x84?")  # safety door
     machine.pico.run_us(100_000)
     machine.send("~")
     machine.pico.run_us(4_200_000)
@@ -219,6 +233,7 @@ def door(machine: Board) -> None:
 
 
 def probe(machine: Board) -> None:
+    """Probe along X; the contact closes after 50 ms."""
     machine.forget()
     machine.send("G91 G38.3 X2 F900\n")
     machine.pico.run_us(40_000)
@@ -236,23 +251,27 @@ def homing(machine: Board) -> None:
         machine.ask(setting)
     machine.ask("$X")
     machine.pico.record([*STEP, *DIR])
-    left = [True]
+    is_homing = [True]  # empty afterwards
 
     def follow() -> None:
+        """Set the switches for the motors' positions, every millisecond during homing."""
         for axis in range(3):
-            at = sum(sign for _, sign in steps(machine.pico.edges, axis))
-            machine.pico.drive(LIMIT[axis], 0 if at >= 250 else 1)
-        if left:
+            at_steps = sum(sign for _, sign in steps(machine.pico.edges, axis))
+            machine.pico.drive(LIMIT[axis], 0 if at_steps >= 250 else 1)
+        if is_homing:
             machine.pico.at_us(1_000, follow)
 
     follow()
     machine.ask("$H", limit_us=12_000_000)
-    left.clear()
+    is_homing.clear()
     machine.ask("$22=0")
 
 
 def in_arcs(machine: Board, query_ms: float, pin: int, answer: str) -> None:
-    """Close an input in the middle of arcs, right after a request for the status."""
+    """Close an input for 3 ms in the middle of arcs, right after a request for the status.
+
+    query_ms: shifts both in time; answer: the text to wait for.
+    """
     machine.ask("G91 F3000")
     machine.forget()
     machine.send("\n".join(ARCS * 2) + "\n")
@@ -282,10 +301,11 @@ def held(machine: Board) -> bool:
 
 
 def hold_button(machine: Board) -> None:
-    for phase in (2.1, 5.3, 9.7):
-        in_arcs(machine, phase, HOLD, "<Hold")
-        rested = machine.pico.run_until(lambda: held(machine), 500_000, step_us=10_000)
-        assert rested, machine.said
+    """Press the hold button in arcs, at several phases, and resume by the start button."""
+    for phase_ms in (2.1, 5.3, 9.7):
+        in_arcs(machine, phase_ms, HOLD, "<Hold")
+        is_held = machine.pico.run_until(lambda: held(machine), 500_000, step_us=10_000)
+        assert is_held, machine.said
         machine.pico.drive(START, 0)
         machine.pico.run_us(5_000)
         machine.pico.drive(START, 1)
@@ -309,6 +329,7 @@ SCENARIOS: "dict[str, Callable[[Board], None]]" = {
 
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_two_kilobytes_stay_free(machine: Board, stack: Stack, name: str) -> None:
+    """By the watermark, in each scenario."""
     stack.paint()
     SCENARIOS[name](machine)
     stack.marks[name] = stack.used()
@@ -322,6 +343,7 @@ def test_two_kilobytes_stay_free(machine: Board, stack: Stack, name: str) -> Non
 def test_two_kilobytes_stay_free_in_streams_of_arcs(
     machine: Board, stack: Stack, feed: int, query_ms: float
 ) -> None:
+    """feed: mm/min; query_ms: from one "?" to the next."""
     stack.paint()
     stream(machine, (f"{ARCS[0]}F{feed}", ARCS[1]), 3, query_ms)
     stack.marks[f"F{feed} ? {query_ms}"] = stack.used()
@@ -331,13 +353,16 @@ def test_two_kilobytes_stay_free_in_streams_of_arcs(
 def test_firmware_reports_the_stack_use_measured_from_outside(
     machine: Board, stack: Stack
 ) -> None:
+    """Both find the same paint; $I+ itself may use a little more."""
     stack.paint()
     stream(machine, (f"{ARCS[0]}F3000", ARCS[1]), 1, 23)
-    said = machine.ask("$I+").partition("[MSG:Stack: ")[2].partition(" of 8192 bytes used]")[0]
-    assert abs(int(said) - stack.used()) <= 64
+    reported = machine.ask("$I+").partition("[MSG:Stack: ")[2]
+    used_bytes = int(reported.partition(" of 8192 bytes used]")[0])
+    assert abs(used_bytes - stack.used()) <= 64
 
 
 def test_reserve_remains_if_the_deepest_of_all_are_nested(machine: Board, stack: Stack) -> None:
+    """The sum of the depths that were sampled separately, in arcs, commands, a hold and stops."""
     with stack.sampled():
         stream(machine, (f"{ARCS[0]}F3000", ARCS[1]), 1, 23)
         talk(machine)
@@ -350,7 +375,8 @@ def test_reserve_remains_if_the_deepest_of_all_are_nested(machine: Board, stack:
     unlock(machine)
     irqs = dict(stack.irqs)
     assert {TIMER, ENGINE, PIN} <= irqs.keys()
+    # Bytes: while the engine runs, while it does not, and the pin's interrupt on top of either.
     moving = stack.main[True] + irqs[ENGINE]
-    standing = max(stack.main[False] + irqs[TIMER], stack.starts)
-    deepest = max(moving, standing) + irqs[PIN]
-    assert deepest <= SIZE - _NESTED_RESERVE, (moving, standing, irqs)
+    idle = max(stack.main[False] + irqs[TIMER], stack.starts)
+    deepest = max(moving, idle) + irqs[PIN]
+    assert deepest <= SIZE - _NESTED_RESERVE, (moving, idle, irqs)

@@ -33,6 +33,7 @@ STORM_US = 60_000
 
 @pytest.fixture(scope="module")
 def machine(uf2: Path) -> Board:
+    """Return a board with two inputs for CUSTOM's functions; its M100 blocks for 400 ms."""
     made = Board(uf2, {"board.py": BOARD, "custom.py": CUSTOM})
     for pin in (PART, DOOR):
         made.pico.drive(pin, 1)
@@ -75,6 +76,7 @@ class Storm:
         self._pico.at_us(delay_us, self._turn)
 
     def _turn(self) -> None:
+        """Change the level of the pins, and plan the next change; 1 is open."""
         self._level = 1 if self._pico.us >= self._end else 1 - self._level
         for pin in self._pins:
             self._pico.drive(pin, self._level)
@@ -83,11 +85,11 @@ class Storm:
 
 
 def walk(board: Board) -> "list[float]":
-    """Return the times of the steps of a move, relative to the first, in us."""
+    """Run MOVE; return the times of its steps, relative to the first, in us."""
     board.ask(MOVE)
     board.until_idle()
-    made = [us for us, _ in steps(board.pico.edges, 0)]
-    return [us - made[0] for us in made]
+    steps_us = [us for us, _ in steps(board.pico.edges, 0)]
+    return [us - steps_us[0] for us in steps_us]
 
 
 def beam_is_dark(board: Board) -> bool:
@@ -112,10 +114,11 @@ STORMED = {"one": (PART,), "all": (PART, DOOR, START, *LIMIT, PROBE)}
 def test_no_step_is_late_in_a_storm(
     ready: Board, calm: "list[float]", pins: "tuple[int, ...]", edges_us: int
 ) -> None:
-    Storm(ready, pins, edges_us, edges_us).blow(40_000, STORM_US)
-    made = walk(ready)
-    assert len(made) == STEPS
-    assert max(abs(a - b) for a, b in zip(made, calm)) < 2
+    """Within 2 us of the times without a storm (calm). edges_us: from edge to edge."""
+    Storm(ready, pins, open_us=edges_us, closed_us=edges_us).blow(40_000, STORM_US)
+    steps_us = walk(ready)
+    assert len(steps_us) == STEPS
+    assert max(abs(a - b) for a, b in zip(steps_us, calm)) < 2
     assert beam_is_dark(ready)
 
 
@@ -123,22 +126,24 @@ def test_no_step_is_late_in_a_storm(
 def test_watch_acts_on_a_hanging_main_loop_in_a_storm(
     ready: Board, pins: "tuple[int, ...]"
 ) -> None:
+    """M100 of CUSTOM blocks the main loop for 400 ms: after 250 ms motors and beam are stopped."""
     ready.ask("G91 G1 X20 F1800 S500")
     ready.pico.run_us(30_000)
     ready.forget()
     ready.send("M100\n")
-    hung = ready.pico.us
-    Storm(ready, pins, 20, 20).blow(10_000, 260_000)
+    sent_us = ready.pico.us
+    Storm(ready, pins, open_us=20, closed_us=20).blow(10_000, 260_000)
     ready.wait_for("ALARM:16")
-    last = max(edge.ns / 1000 for edge in ready.pico.edges)  # steps, and pulses of the beam
-    assert 240_000 <= last - hung <= 270_000
+    last_us = max(edge.ns / 1000 for edge in ready.pico.edges)  # steps, and pulses of the beam
+    assert 240_000 <= last_us - sent_us <= 270_000
     assert beam_is_dark(ready)
 
 
 def test_limit_in_a_storm_stops_at_its_first_edge(ready: Board) -> None:
+    """No edge of motors or beam comes 300 us after the storm's first one."""
     ready.ask("$21=1")
     ready.ask("G91 G1 X20 F1800 S500")
-    storm = Storm(ready, LIMIT[:1], 20, 20)
+    storm = Storm(ready, LIMIT[:1], open_us=20, closed_us=20)
     storm.blow(60_000, STORM_US)
     ready.wait_for("Reset to continue")
     assert max(edge.ns / 1000 for edge in ready.pico.edges) - storm.began <= 300
@@ -149,18 +154,24 @@ def test_limit_in_a_storm_stops_at_its_first_edge(ready: Board) -> None:
 def test_contact_after_pulses_too_short_to_be_seen_has_its_right_place(
     ready: Board, after_us: int, late_us: int
 ) -> None:
-    """late_us: how long the probe may still be ignored after the storm."""
-    contact: list[int] = []
-    z = float(ready.status()["MPos"].split(",")[2])
+    """A storm of pulses of 3 us, then a contact after_us later.
+
+    late_us: how long the probe may still be ignored after the storm.
+    """
+    contact_steps: list[int] = []
+    start_z_mm = float(ready.status()["MPos"].split(",")[2])
 
     def touch() -> None:
-        contact.append(len(steps(ready.pico.edges, 2)))  # all of them down
+        """Record Z's steps until now, and close the probe's contact."""
+        contact_steps.append(len(steps(ready.pico.edges, 2)))  # all of them down
         ready.pico.drive(PROBE, 0)
 
     ready.pico.edges.clear()
-    Storm(ready, (PROBE,), 497, 3).blow(40_000, STORM_US)
+    Storm(ready, (PROBE,), open_us=497, closed_us=3).blow(40_000, STORM_US)
     ready.pico.at_us(40_000 + STORM_US + after_us, touch)
     said = ready.ask("G91 G38.2 Z-5 F600", limit_us=4_000_000)
     ready.pico.drive(PROBE, 1)
-    probed = float(said.partition("[PRB:")[2].split(":")[0].split(",")[2])
-    assert 0 <= z - contact[0] / 80 - probed + 0.0126 <= 0.0252 + late_us * 10 / 1_000_000
+    probed_mm = float(said.partition("[PRB:")[2].split(":")[0].split(",")[2])
+    too_low_mm = start_z_mm - contact_steps[0] / 80 - probed_mm
+    # A step (1/80 mm) either way, and the way made in late_us at F600, 10 mm/s.
+    assert 0 <= too_low_mm + 0.0126 <= 0.0252 + late_us * 10 / 1_000_000

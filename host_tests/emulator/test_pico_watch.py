@@ -63,15 +63,17 @@ def last_ms(machine: Board, since_us: float) -> "tuple[float, float]":
 
 
 def test_hanging_main_loop_is_stopped_and_reported_when_it_returns(machine: Board) -> None:
+    """$BUSY=400, a command added by the fixture, takes 400 ms; motors and spindle stop after
+    250 ms, checked every 5 ms."""
     moving(machine)
-    since = machine.pico.us
+    sent_us = machine.pico.us
     machine.send("$BUSY=400\n")
     machine.wait_for("ALARM:16\r\n[MSG:RuntimeErr: the main loop was blocked for ")
     machine.pico.run_us(20_000)
-    for stopped_ms in last_ms(machine, since):
+    for stopped_ms in last_ms(machine, sent_us):
         assert _LIMIT_MS - _BEAT_MS < stopped_ms <= _LIMIT_MS + 2 * _BEAT_MS + 2
-    away = int(machine.said.split("blocked for ")[1].split(" ms")[0])
-    assert 400 - 2 * _BEAT_MS <= away <= 400 + _BEAT_MS
+    blocked_ms = int(machine.said.split("blocked for ")[1].split(" ms")[0])
+    assert 400 - 2 * _BEAT_MS <= blocked_ms <= 400 + _BEAT_MS
     assert machine.said.startswith("ok\r\nALARM:16\r\n")  # the line itself is accepted
     machine.forget()
     machine.send("\x18")
@@ -80,6 +82,7 @@ def test_hanging_main_loop_is_stopped_and_reported_when_it_returns(machine: Boar
 
 
 def test_machine_works_after_that_alarm_and_a_shorter_delay_is_no_fault(machine: Board) -> None:
+    """$BUSY=200, a command added by the fixture, takes 200 ms: less than the limit of 250 ms."""
     moving(machine)
     machine.ask("$BUSY=200")
     before = len(steps(machine.pico.edges, 0))
@@ -91,12 +94,14 @@ def test_machine_works_after_that_alarm_and_a_shorter_delay_is_no_fault(machine:
 
 
 def test_host_that_does_not_read_stops_no_motion(machine: Board) -> None:
+    """The answer to $$ does not fit into the buffers; after 900 ms the motor still steps."""
     moving(machine)
     machine.pico.usb.read(False)
     machine.send("$$\n")
     machine.pico.edges.clear()
     machine.pico.run_us(900_000)
-    assert steps(machine.pico.edges, 0)[-1][0] > machine.pico.us - 2_000
+    last_step_us = steps(machine.pico.edges, 0)[-1][0]
+    assert last_step_us > machine.pico.us - 2_000
     machine.pico.usb.read(True)
     machine.pico.run_us(50_000)
     assert machine.status()["state"] == "Run"
@@ -118,7 +123,7 @@ _REOPENED: "dict[str, tuple[list[int | None], list[int | None]]]" = {
 
 
 def opens_again(machine: Board, closing: "list[int | None]", opening: "list[int | None]") -> int:
-    """Close and open the port; return the number of welcomes."""
+    """Close and open the port by these requests (see _REOPENED); return the number of welcomes."""
     machine.forget()
     for requests in (closing, opening):
         for request in requests:
@@ -160,7 +165,7 @@ _ERASE_US = 45_000
 def saves(machine: Board, until: "Callable[[list[float]], bool]") -> "list[float]":
     """Save offsets until the condition holds; return the times at which erasures began, in us.
 
-    Most saves fit into a sector that was erased before.
+    until() is passed these times. Most saves fit into a sector that was erased before.
     """
     begins: list[float] = []
     machine.pico.erase_takes_us(_ERASE_US)
@@ -179,6 +184,7 @@ def saves(machine: Board, until: "Callable[[list[float]], bool]") -> "list[float
 
 
 def test_laser_is_off_while_flash_is_written_and_on_again_afterwards(machine: Board) -> None:
+    """No pulse from 0.5 ms before the erasure to its end."""
     for line in ("$32=1", "G91", "M3 S500", "G1 X0.1 F600"):
         machine.ask(line)
     machine.until_idle()
@@ -186,11 +192,11 @@ def test_laser_is_off_while_flash_is_written_and_on_again_afterwards(machine: Bo
     machine.pico.run_us(5_000)
     assert pulses(machine, 0)  # it burns while idle, as M3 requires
     begins = saves(machine, lambda begins: bool(begins) and "ok\r\n" in machine.said)
-    behind = machine.pico.us
+    answered_us = machine.pico.us
     machine.pico.run_us(5_000)
-    end = begins[-1] + _ERASE_US
-    assert not [us for us in pulses(machine, begins[-1] - 500) if us < end]
-    assert pulses(machine, behind)
+    end_us = begins[-1] + _ERASE_US
+    assert not [us for us in pulses(machine, begins[-1] - 500) if us < end_us]
+    assert pulses(machine, answered_us)
     machine.ask("M5")
 
 
@@ -198,14 +204,14 @@ def test_events_during_a_flash_erasure_are_handled_afterwards(machine: Board) ->
     """A limit switch with the spindle on, and a byte: late, but not lost."""
     for line in ("$32=0", "$21=1", "M3 S500"):
         machine.ask(line)
-    (hit,) = saves(machine, bool)
+    (begun_us,) = saves(machine, bool)  # until an erasure has begun
     machine.pico.drive(LIMIT[0], 0)
     machine.forget()
     machine.send("?")
     machine.wait_for("Reset to continue")
     machine.pico.run_us(20_000)
-    assert pulses(machine, hit)  # no reaction during the erasure
-    assert pulses(machine, hit)[-1] - hit < _ERASE_US + 2_000
+    assert pulses(machine, begun_us)  # no reaction during the erasure
+    assert pulses(machine, begun_us)[-1] - begun_us < _ERASE_US + 2_000
     machine.pico.drive(LIMIT[0], 1)
     machine.pico.erase_takes_us(0)
     machine.send("\x18")
@@ -218,16 +224,21 @@ def test_events_during_a_flash_erasure_are_handled_afterwards(machine: Board) ->
 
 
 def test_last_request_shows_an_opened_port_when_control_lines_are_unknown(uf2: Path) -> None:
+    """find_line() looks for the control lines in MicroPython's memory; here it finds nothing."""
     hidden = b"from ports.usb import usb_ring\nusb_ring.find_line = lambda memory: 0\n"
     machine = Board(uf2, {"main.py": hidden + _MAIN}).boot().settled()
-    for orders in _REOPENED.values():
-        if orders[0][-1] == 0:  # otherwise the last request says that it is open
-            assert opens_again(machine, *orders) == 1
+    for closing, opening in _REOPENED.values():
+        if closing[-1] == 0:  # otherwise the last request says that it is open
+            assert opens_again(machine, closing, opening) == 1
     assert opens_again(machine, [None], [3, None]) == 0
     assert "slow-reset" not in machine.ask("$I")
 
 
 def test_board_without_the_usb_ring_works_and_reports_a_slow_reset(uf2: Path) -> None:
+    """find() looks for the ring of received bytes in MicroPython's memory; here it finds nothing.
+
+    So an interrupt cannot see a Ctrl-X: "slow-reset". The watch still acts.
+    """
     hidden = b"from ports.usb import usb_ring\nusb_ring.find = lambda at, drain, take: None\n"
     machine = Board(uf2, {"main.py": hidden + _MAIN}).boot().settled()
     assert "[VER:1.1h." in machine.ask("$I") and " slow-reset]" in machine.said

@@ -34,6 +34,7 @@ class Emulated:
         board.pico.record([STEP[0]])  # lets PIO keep its time while the processor sleeps
 
     def enter(self) -> None:
+        """Go to the raw prompt, with a soft reset: Ctrl-D."""
         if not self._is_at_prompt:
             self._board.python("pass")
             self._is_at_prompt = True
@@ -43,24 +44,32 @@ class Emulated:
         self._board.wait_for(_RAW)
 
     def about(self) -> About:
-        said = self._board.python_again("import os, sys; print(os.uname()[2], os.uname()[4])")
-        version, _, machine = said.strip().partition(" ")
+        """Return MicroPython's version and the name of the board."""
+        printed = self._board.python_again("import os, sys; print(os.uname()[2], os.uname()[4])")
+        version, _, machine = printed.strip().partition(" ")
         return About(0, version, machine)
 
     def wiring(self) -> Wiring:
-        said = self._board.python_again(WIRING + "print(wiring())")
-        engine, enable, pwm, has_pcnt, motors = said.strip()[1:-1].split(", ")
+        """Return the engine's name, two pins, and the number of motors."""
+        printed = self._board.python_again(WIRING + "print(wiring())")
+        engine, enable, pwm, has_pcnt, motors = printed.strip()[1:-1].split(", ")
         assert has_pcnt == "False"
         return Wiring(engine.strip("'"), int(enable), int(pwm), False, int(motors))
 
     def run(self, script: str, heard: "Callable[[str], None]", seconds: float) -> str:
+        """Run a script at the raw prompt; pass its lines to heard(), return its exception.
+
+        The raw prompt sends "OK", the output, Ctrl-D, the exception and Ctrl-D.
+        """
         self._send(script, lambda: self._board.said.count("\x04") >= 2, seconds)
-        said, wrong, _ = self._board.said.removeprefix("OK").split("\x04", 2)
-        for line in said.split("\r\n"):
+        output, exception, _ = self._board.said.removeprefix("OK").split("\x04", 2)
+        for line in output.split("\r\n"):
             heard(line)
-        return wrong
+        return exception
 
     def until_restart(self, script: str, heard: "Callable[[str], None]", seconds: float) -> bool:
+        """Run a script that hangs; return whether the watchdog restarts the board."""
+
         def is_back() -> bool:
             return "Grbl 1.1h" in self._board.said.partition("= hang")[2]
 
@@ -73,18 +82,22 @@ class Emulated:
         self._board.send("\x02\x04")
 
     def _send(self, script: str, done: "Callable[[], bool]", seconds: float) -> None:
+        """Send a script to the raw prompt; run until done() holds or the time is over."""
         self._board.forget()
         self._board.send(script + "\x04")
         self._board.pico.run_until(done, min(seconds, _MOST_S) * 1e6, _PIECE_US)
 
 
 def test_firmware_passes_all_checks_that_can_be_shown_here(uf2: Path) -> None:
+    """None fails and none is left out; a save of settings blocks interrupts for an erasure."""
     machine = Board(uf2, _BOARD).boot().settled()
     board = Emulated(machine)
     chip, wiring = look(board)
+    # ENABLE at pin 8, the spindle's PWM at 16, no pulse counter, three motors.
     assert (chip, wiring) == (_CHIP, Wiring("pio", 8, 16, False, 3))
     machine.pico.erase_takes_us(_ERASE_US)
     rows: "dict[str, Row]" = {}
+    # 13: the seed of the random instants.
     check(board, chip, program.QUICK, True, 13, lambda row: rows.update({row.what: row}))
     failed = [row for row in rows.values() if row.passed is False]
     assert not failed
@@ -98,12 +111,12 @@ def test_firmware_passes_all_checks_that_can_be_shown_here(uf2: Path) -> None:
 def test_five_and_six_motors_are_counted_in_turn(
     uf2: Path, motors: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Their engine uses machines of PIO 1; the machines left count some motors at a time."""
+    """Their engine uses machines of PIO 1; the free machines count some motors at a time."""
     less = f"STEP, DIR, LIMIT = STEP[:{motors}], DIR[:{motors}], LIMIT[:{motors}]\n"
     file = for_this_chip(BOARDS / "pico_six.py", f"WATCHDOG_MS = 1500\n{less}")
     files = {**dict.fromkeys(firmware()), **build.for_board(file).files}
     machine = Board(uf2, files)
-    for pin in (*range(15, 23), 0, 1, 28):
+    for pin in (*range(15, 23), 0, 1, 28):  # open inputs
         machine.pico.drive(pin, 1)
     board = Emulated(machine.boot().settled())
     chip, wiring = look(board)
@@ -112,6 +125,7 @@ def test_five_and_six_motors_are_counted_in_turn(
     monkeypatch.setattr(sys.modules[Emulated.__module__], "_MOST_S", 30)
     check(board, chip, program.QUICK, True, 5, lambda row: rows.update({row.what: row}))
     failed = [row for row in rows.values() if row.passed is False]
+    # At most this check fails.
     assert [row.what for row in failed] == ["settings save: interrupts off"][: len(failed)]
     for rate in ("1 kHz", "50 kHz", "the highest"):
         row = rows[f"steps at {rate}, all axes"]
@@ -145,11 +159,13 @@ class Worse(Emulated):
 
 
 def test_wrong_engine_fails(uf2: Path) -> None:
+    """_WORSE is put in front of each script: pulses too short, no time for DIR, a wrong position.
+    Checks that do not depend on these pass."""
     board = Worse(Board(uf2, {"main.py": b""}))
     board._is_at_prompt = True
     machine = board._board
-    machine.pico.run_us(400_000)
-    machine.send("\r\x03\x01")
+    machine.pico.run_us(400_000)  # MicroPython starts
+    machine.send("\r\x03\x01")  # Ctrl-C, and Ctrl-A: the raw prompt
     machine.wait_for(_RAW)
     chip, _ = look(board)
     rows: "dict[str, Row]" = {}
@@ -167,4 +183,4 @@ def test_wrong_engine_fails(uf2: Path) -> None:
         "hang on purpose: watchdog",
     }
     assert rows["watchers see the pins"].passed and rows["skew between axes, 50 kHz"].passed
-    assert rows["spindle PWM"].passed is None
+    assert rows["spindle PWM"].passed is None  # left out

@@ -24,6 +24,8 @@ def hello(m):
 def test_dragged_file_starts_with_firmware_settings_and_custom_module(
     uf2: Path, tmp_path: Path
 ) -> None:
+    """The file of `ugrbl uf2` is loaded over flash with other data (garbage); it is complete: the
+    start is not a first one, and the machine moves."""
     settings, custom, file = (tmp_path / name for name in ("my.settings", "custom.py", "all.uf2"))
     settings.write_text("$110=4321\n")
     custom.write_text(_CUSTOM)
