@@ -477,7 +477,7 @@ def test_pins_missing_in_the_board_file_are_reported() -> None:
 
 def test_simulator_board_gets_the_pins_asked_for_and_reports_it() -> None:
     done = ugrbl("custom", "check", written(VACUUM))
-    assert "pins are assumed to exist: vacuum; --board NAME" in done.stdout
+    assert "not checked whether these pins exist: vacuum; --board NAME" in done.stdout
 
 
 def test_endless_import_of_a_file_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:

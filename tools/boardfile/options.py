@@ -301,7 +301,7 @@ OPTIONS = (
     ),
     Option(
         *("WATCHDOG_MS", COUNT, 5000),
-        "A chip that hangs for longer starts anew; 0: it does not.",
+        "A program that hangs for so many ms restarts the chip. 0: never.",
         high=8388,  # the most that the RP2040's watchdog counts
     ),
     # Extras.

@@ -128,5 +128,5 @@ def _assumed_pins(own: OwnPython, board: str) -> list[str]:
     if not named:
         return []
     return [
-        f"pins are assumed to exist: {', '.join(named)}; --board NAME checks the pins of a board"
+        f"not checked whether these pins exist: {', '.join(named)}; --board NAME checks them"
     ]
