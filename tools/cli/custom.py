@@ -127,6 +127,4 @@ def _assumed_pins(own: OwnPython, board: str) -> list[str]:
     named = [name for names in pins.values() for name in names]
     if not named:
         return []
-    return [
-        f"not checked whether these pins exist: {', '.join(named)}; --board NAME checks them"
-    ]
+    return [f"not checked whether these pins exist: {', '.join(named)}; --board NAME checks them"]

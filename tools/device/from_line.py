@@ -119,7 +119,7 @@ def _check_stored_positions(
             name = f"G{word.decode()}"
             if there.offsets.get(name) != here.offsets.get(name):
                 text = f"the lines before store another position for {name} ({name}.1)"
-                raise CannotEnter(f"{text}, and a later line moves there: begin at an earlier line")
+                raise CannotEnter(f"{text}, and a later line moves there: begin before it")
 
 
 class _Steps:

@@ -21,7 +21,8 @@ def stops(facts: list[Fact]) -> Iterator[Row]:
     """
     one = facts[0]
     good = one["worst"] <= _CLOCK_STEPS and one["late"] == 0 and one["moved"] > 0
-    text = f"{one['count']} stops, half of them made in a soft interrupt, {one['moved']} of them in motion; "
+    text = f"{one['count']} stops, half of them made in a soft interrupt, "
+    text += f"{one['moved']} of them in motion; "
     text += (
         f"position computed from time: matched the step counter in {one['exact']} stops; largest "
     )
