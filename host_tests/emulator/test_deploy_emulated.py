@@ -113,6 +113,7 @@ def test_empty_board_is_deployed_and_updated(uf2: Path, tmp_path: Path) -> None:
 
 
 def test_mpremote_enters_and_leaves_the_prompt(uf2: Path, tmp_path: Path) -> None:
+    """While the machine is idle; it lists files there, and the machine starts again."""
     with pico(uf2, tmp_path, build.for_board(BOARD_FILE)) as port:
         with grbl(port):
             pass  # it has started

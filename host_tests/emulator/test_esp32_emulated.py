@@ -129,6 +129,7 @@ def test_number_of_steps_is_exact_and_none_comes_early(machine: Esp32) -> None:
 
 
 def test_hold_loses_no_step_and_reset_in_motion_is_an_alarm(machine: Esp32) -> None:
+    """A hold in a move of 3 mm, which is resumed; then a reset in the move back."""
     before = len(machine.steps())
     machine.ask("G91 G1 X3 F480")
     machine.comes_to("Run")

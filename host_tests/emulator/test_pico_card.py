@@ -97,6 +97,7 @@ def test_job_runs_from_a_card(uf2: Path, tmp_path: Path) -> None:
 
 
 def test_removed_card_stops_the_job_and_another_card_runs(uf2: Path, tmp_path: Path) -> None:
+    """Removed 300 ms after the start: motion ends and the spindle is off."""
     card = card_with(tmp_path, {"part.nc": _JOB})
     machine = wired(uf2, tmp_path, card)
     machine.send("$F=part.nc\n")

@@ -116,6 +116,7 @@ def test_steps_are_made_within_the_stack(machine: Machine) -> None:
 
 
 def test_silent_driver_is_an_alarm(machine: Machine) -> None:
+    """Y's driver has no supply. When it answers again the machine can be unlocked."""
     board = machine.board
     board.forget()
     machine.drivers()[1].has_supply = False  # it does not answer

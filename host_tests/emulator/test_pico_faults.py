@@ -195,6 +195,7 @@ def test_machine_that_cannot_be_built_reports_the_cause_on_request(
 def test_missing_board_file_is_reported_and_leads_to_the_prompt(
     uf2: Path, board: "bytes | None", said: str
 ) -> None:
+    """board: content of board.py, None: no such file."""
     machine = Board(uf2, {"board.py": board})
     assert said in machine.wait_for(">>> ")
     machine.forget()

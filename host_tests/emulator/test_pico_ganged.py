@@ -34,11 +34,11 @@ class Gantry:
         files = {**files_of("pico_gantry"), "main.py": MAIN}
         self.machine = Board(uf2, files)
         for pin in _BOARD.LIMIT:
-            self.machine.pico.drive(pin, 1)
+            self.machine.pico.drive(pin, 1)  # open
         self.machine.pico.record([*_BOARD.STEP, *_BOARD.DIR])
         self.machine.boot().settled()
         self.odometer = Odometer(self.machine.pico, _BOARD.STEP, _BOARD.DIR)
-        self.edges: list[Edge] = []
+        self.edges: list[Edge] = []  # of all pins, since a test has cleared it
         for setting in _SETTINGS:
             assert self.machine.ask(setting).endswith("ok\r\n"), setting
         self._follow()
@@ -84,6 +84,7 @@ def test_axis_is_squared_at_its_two_switches(gantry: Gantry) -> None:
 
 
 def test_both_motors_of_an_axis_step_at_the_same_time(gantry: Gantry) -> None:
+    """Motors 1 and 3 are of Y, which assert_alive() moves by 150 steps."""
     gantry.edges.clear()
     gantry.assert_alive()
     y, y2 = (

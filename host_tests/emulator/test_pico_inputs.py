@@ -74,6 +74,7 @@ def test_hold_button_stops_and_start_button_resumes_to_the_step(machine: Board) 
 
 
 def test_sender_holds_and_resumes(machine: Board) -> None:
+    """By "!" and "~" in motion; no step is lost."""
     machine.pico.edges.clear()
     machine.ask("G91 G1 X6 F1800")
     machine.pico.run_us(80_000)
@@ -111,7 +112,7 @@ def test_reset_in_motion_stops_at_once_and_position_matches_the_steps(
 
 
 def test_limit_switch_stops_all_axes_within_300_us(machine: Board) -> None:
-    machine.ask("$21=1")
+    machine.ask("$21=1")  # hard limits
     machine.pico.edges.clear()
     machine.ask("G91 G1 X12 Y5 F1800")
     machine.pico.run_us(150_000)
@@ -129,6 +130,7 @@ def test_limit_switch_stops_all_axes_within_300_us(machine: Board) -> None:
 
 
 def test_emergency_stop_stops_everything_and_locks_the_machine(machine: Board) -> None:
+    """Its contact opens in motion, with the spindle on: all edges end within 300 us."""
     machine.ask("M3 S500")
     machine.ask("G91 G1 X12 Y5 F1800")
     machine.pico.run_us(150_000)

@@ -92,6 +92,7 @@ def test_ctrl_c_in_the_stream_stops_nothing(machine: Board) -> None:
 
 
 def test_sender_that_opens_the_port_again_is_welcomed(machine: Board) -> None:
+    """Once, between 250 and 350 ms after it has opened the port."""
     machine.forget()
     machine.pico.usb.open_port(False)
     machine.pico.run_us(20_000)

@@ -146,6 +146,7 @@ def test_sender_that_changes_its_speed_is_not_welcomed_again(machine: Board) -> 
 
 def test_sender_that_opens_the_port_in_motion_is_welcomed(machine: Board) -> None:
     moving(machine)
+    # The requests of Linux: DTR low; line coding, DTR and RTS high.
     assert opens_again(machine, [0], [None, 3]) == 1
     assert machine.status()["state"] == "Run"
     machine.send("\x18")

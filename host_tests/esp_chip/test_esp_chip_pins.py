@@ -59,7 +59,7 @@ def test_inputs_pulled_to_ground_are_closed_and_reported() -> None:
 def test_bouncing_button_is_reported_once() -> None:
     _, heard = made(CONTROL_DEBOUNCE_MS=20)
     for level in (0, 1, 0, 1, 0):
-        Pin(4).drive(level)
+        Pin(4).drive(level)  # a control input
     clock.advance(clock.us + 100_000)  # more than the time of debouncing
     assert heard == ["controls"]
     Pin(4).drive(1)
@@ -71,7 +71,7 @@ def test_probe_is_reported_once() -> None:
     contacts: list[bool] = []
     port.watch_probe(lambda: contacts.append(True), True)  # True: until it closes
     for level in (0, 1, 0):
-        Pin(39).drive(level)
+        Pin(39).drive(level)  # the probe
     assert contacts == [True]
 
 
@@ -90,6 +90,7 @@ def test_enable_may_be_an_output_of_the_engine() -> None:
 
 
 def test_safe_switches_all_tool_outputs_off() -> None:
+    """Spindle on (pin 19) and its PWM (23), mist (21) and flood (22)."""
     port, _ = made(MIST_PIN=21, SPINDLE_ON=19)
     port.spindle(True, 1000)
     port.coolant(3)  # flood and mist
@@ -174,8 +175,8 @@ def test_lost_edge_is_found_at_the_next_poll(pin: int, who: str) -> None:
 def test_handled_edge_is_not_found_again() -> None:
     """Polling reports nothing that an interrupt has reported already."""
     port, heard = made()
-    Pin(5).drive(0)
-    Pin(4).drive(0)
+    Pin(5).drive(0)  # limit of Y
+    Pin(4).drive(0)  # a control input
     for _ in range(10):
         port.poll_inputs()
         clock.advance(clock.us + 1000)
@@ -186,7 +187,7 @@ def test_disabled_limits_are_not_found_by_polling() -> None:
     """Nor after they are enabled again: only a change counts."""
     port, heard = made()
     port.enable_limits(False)
-    Pin(5).drive(0)
+    Pin(5).drive(0)  # limit of Y
     port.poll_inputs()
     port.enable_limits(True)
     port.poll_inputs()
@@ -194,7 +195,7 @@ def test_disabled_limits_are_not_found_by_polling() -> None:
 
 
 def test_lost_debounced_limit_counts_after_it_has_settled() -> None:
-    """Polled every millisecond: reported after the third."""
+    """Polled every millisecond: reported after the third. Pin 5: limit of Y."""
     port, heard = made(LIMIT_DEBOUNCE_MS=3)
     deaf(lambda: Pin(5).drive(0))
     for _ in range(2):
@@ -208,7 +209,8 @@ def test_lost_debounced_limit_counts_after_it_has_settled() -> None:
 
 
 def test_storm_on_one_limit_does_not_delay_another_that_stays_closed() -> None:
-    """Pin 13 bounces for 6 ms, every millisecond; pin 5 is reported within this time."""
+    """Limit of X (pin 13) bounces for 6 ms, every millisecond; that of Y (pin 5) is reported
+    within this time."""
     port, heard = made(LIMIT_DEBOUNCE_MS=3)
     Pin(5).drive(0)
     for level in (0, 1) * 3:
@@ -222,7 +224,7 @@ def test_lost_contact_of_the_probe_is_found() -> None:
     port, _ = made()
     contacts: list[bool] = []
     port.watch_probe(lambda: contacts.append(True), True)  # True: until it closes
-    deaf(lambda: Pin(39).drive(0))
+    deaf(lambda: Pin(39).drive(0))  # the probe closes
     assert contacts == []
     port.poll_inputs()
     port.poll_inputs()

@@ -476,6 +476,7 @@ def test_steps_requested_too_fast_come_late_and_complete(rows: "list[array[int]]
 
 @pytest.mark.parametrize("name", MOVES)
 def test_moves_are_exact_to_the_tick(name: str) -> None:
+    """Moves of a planner, with a board's own times for DIR; due: the steps computed from rows."""
     timing = TIMINGS["generic_breakout"]
     words = fed(move(name), timing)
     for due, seen in zip(words.due, words.played(), strict=True):

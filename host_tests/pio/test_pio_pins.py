@@ -99,7 +99,7 @@ def test_a_switch_is_reported_at_once_in_a_hard_interrupt() -> None:
 
 
 def test_a_shared_input_reports_each_axis_and_interrupts_once() -> None:
-    """X and Y use one pin, which the check of pins allows."""
+    """X and Y use pin 9 for both limits, which the check of pins allows."""
     port, heard = made(LIMIT=(9, 9, 11))
     pin_check.check(board(LIMIT=(9, 9, 11)), MOTORS)
     Pin(9).drive(0)
@@ -112,10 +112,10 @@ def test_a_shared_input_reports_each_axis_and_interrupts_once() -> None:
 def test_limits_interrupt_only_while_enabled() -> None:
     port, heard = made()
     port.enable_limits(False)
-    Pin(9).drive(0)
+    Pin(9).drive(0)  # limit of X closes
     assert (Pin(9).calls, heard.limits) == (0, 0)
     port.enable_limits(True)
-    Pin(10).drive(0)
+    Pin(10).drive(0)  # limit of Y closes
     assert heard.limits == 1
 
 
@@ -140,17 +140,17 @@ def test_interference_interrupts_rarely_and_blocks_no_other_input() -> None:
 def test_nothing_is_reported_after_limits_are_disabled() -> None:
     """Neither by the timer that looks at a pin after its interrupt, nor by another pin."""
     port, heard = made()
-    Pin(9).drive(0)  # reported
+    Pin(9).drive(0)  # limit of X closes: reported
     port.enable_limits(False)
     Pin(9).drive(1)
     port._look_timer.expire()
-    Pin(10).drive(0)
+    Pin(10).drive(0)  # limit of Y closes
     assert (heard.limits, Pin(10).calls) == (1, 0)
 
 
 @pytest.mark.parametrize("invert", [0, 7])
 def test_a_debounced_limit_counts_if_it_is_closed_at_the_end(invert: int) -> None:
-    """At the end of LIMIT_DEBOUNCE_MS, which begins with the first edge.
+    """At the end of LIMIT_DEBOUNCE_MS, which begins with the first edge. Pins 9 to 11: X, Y, Z.
 
     invert: $5, a mask of the three axes.
     """
@@ -178,7 +178,7 @@ def test_pins_interrupt_before_all_others() -> None:
 
 def test_a_button_is_reported_at_once_and_a_storm_is_not() -> None:
     """A storm: many edges, of which only the first and the last are reported; another button is
-    reported at once meanwhile."""
+    reported at once meanwhile. Pins 13 and 14: the buttons."""
     port, heard = made()
     for _ in range(1000):
         Pin(13).drive(0)
@@ -225,6 +225,8 @@ def test_a_board_without_emergency_stop_has_none() -> None:
 
 
 def test_a_bouncing_button_is_reported_once_and_again_after_a_change() -> None:
+    """Pins 13 and 14: two buttons; each report is followed by CONTROL_DEBOUNCE_MS without one, and
+    another one at the end if something has changed."""
     port, heard = made(CONTROL_DEBOUNCE_MS=20)
     for level in (0, 1, 0, 1, 0):
         Pin(13).drive(level)
@@ -244,7 +246,7 @@ def test_a_bouncing_button_is_reported_once_and_again_after_a_change() -> None:
 def test_the_probe_is_reported_once(closed: bool) -> None:
     """closed: wait until it closes (level 0), otherwise until it opens."""
     port, heard = made()
-    Pin(12).drive(1 if closed else 0)
+    Pin(12).drive(1 if closed else 0)  # the probe's pin
     port.watch_probe(heard.on_contact, closed)
     assert heard.probe == 0
     for level in (0, 1, 0, 1):
@@ -254,7 +256,7 @@ def test_the_probe_is_reported_once(closed: bool) -> None:
 
 def test_a_probe_interrupts_only_while_it_is_watched() -> None:
     port, heard = made()
-    Pin(12).drive(0)
+    Pin(12).drive(0)  # the probe is closed
     port.watch_probe(heard.on_contact, False)  # until it opens
     port.watch_probe(None, False)  # not any more
     Pin(12).drive(1)
@@ -277,6 +279,7 @@ def test_spindle_power_sets_the_duty_cycle() -> None:
 
 
 def test_safe_switches_off_all_dangerous_outputs() -> None:
+    """Spindle on (pin 19) and its PWM (16), flood (18) and mist (20)."""
     port, _ = made(MIST_PIN=20)
     port.spindle(True, 1000)
     port.coolant(3)  # flood and mist
