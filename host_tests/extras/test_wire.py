@@ -77,6 +77,10 @@ def test_offsets_and_probed_places_are_in_the_order_of_the_motors() -> None:
     assert "[G92:0.000,0.000,0.000,-11.000]" in received  # machine position 0 is 7: 0 - 4 - 7
 
 
+def test_a_sender_for_grblhal_is_given_the_letters() -> None:
+    assert "[AXS:4:XYUV]" in played("$I", DIALECT="hal").received
+
+
 @pytest.mark.parametrize(
     ("line", "mm"),
     [

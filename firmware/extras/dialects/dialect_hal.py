@@ -8,8 +8,8 @@ line when a sender asks for them, and not kept in memory.
 
 from base import errors
 from base import state as st
-from base.axes import LETTERS
 from base.errors import GrblError
+from base.text import text_of
 from micropython import const
 from talk.lines import READS
 from talk.report import BUILD, Report
@@ -49,14 +49,18 @@ _READING_STATES = (st.IDLE, st.ALARM, st.CHECK, st.RUN, st.JOG)
 
 
 class ReportHal(Report):
-    """Reports as grblHAL formats them. modal: has the tool; has_jobs: the board runs jobs;
+    """Reports as grblHAL formats them.
+
+    modal: has the tool; has_jobs: the board runs jobs; axis_letters: of all axes, and more;
     is_complete: the next status report has all fields; _alarm_number: of the last alarm, 0 after a
-    reset."""
+    reset.
+    """
 
     VERSION = "1.1f"
 
     modal: "Modes"
     has_jobs = False
+    axis_letters = b""
     is_complete = False
     _alarm_number = 0
 
@@ -77,7 +81,7 @@ class ReportHal(Report):
         name = "GrblHAL" + self.identity[_GRBL_LENGTH:]  # identity: Grbl and more
         self._line("[VER:%s.%s:%s]" % (self.VERSION, BUILD, name + " " + info if info else name))
         self._line("[OPT:%s,%d,0]" % (options, axes))  # 0 tools: there is no tool table
-        self._line("[AXS:%d:%s]" % (axes, LETTERS[:axes]))
+        self._line("[AXS:%d:%s]" % (axes, text_of(self.axis_letters[:axes])))
         home = ",HOME" if self._settings.homing else ""
         self._line("[NEWOPT:ENUMS" + home + (",SD]" if self.has_jobs else "]"))
         self._line("[FIRMWARE:grblHAL]")
@@ -202,7 +206,7 @@ def _has_setting(cnc: "Cnc", number: bytes) -> bool:
     return True
 
 
-_found: "dict[str, bool]" = {}  # prepare() stores here what install() needs
+_found: "dict[str, Options]" = {}  # prepare() stores here what install() needs
 
 
 def prepare(options: "Options", board: "ModuleType") -> None:
@@ -211,7 +215,7 @@ def prepare(options: "Options", board: "ModuleType") -> None:
     options.rx_bytes = max(options.rx_bytes, _RX_BYTES)
     # Upper real-time bytes as in Grbl, one more real-time byte, and too long lines as in Grbl.
     options.reads = (READS[0], _STOP, READS[2])
-    _found["jobs"] = options.job_files is not None
+    _found["options"] = options
 
 
 def install(cnc: "Cnc") -> None:
@@ -219,7 +223,9 @@ def install(cnc: "Cnc") -> None:
     machine = cnc.machine
     report, commands = machine.report, machine.commands
     assert isinstance(report, ReportHal)
-    report.modal, report.has_jobs = machine.modes, _found["jobs"]
+    options = _found.pop("options")
+    report.modal, report.has_jobs = machine.modes, options.job_files is not None
+    report.axis_letters = options.axis_letters
     Bytes(machine, report)
     link = machine.protocol.link
     if hasattr(link, "welcome"):  # a network link
