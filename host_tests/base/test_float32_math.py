@@ -36,6 +36,7 @@ def single(x: float) -> float:
 @example(0.0, -2.5)
 @example(3.4e38, 1.1)
 def test_product_matches_single_precision(a: float, b: float) -> None:
+    """multiply(a, i, b, j) changes a[i], also if it multiplies by itself."""
     values = array("f", (a, b))
     float32_math.multiply(values, 0, values, 1)
     assert bits(values[0]) == bits(single(a * b))
@@ -71,6 +72,7 @@ def test_root_matches_single_precision(a: float) -> None:
 
 @given(numbers, st.integers(-60, 60))
 def test_whole_part_rounds_towards_0_and_has_30_bits(a: float, power: int) -> None:
+    """whole_part() returns a * 2**power as an integer, or 0 if that is too large."""
     whole = int(a * 2.0**power)
-    found = float32_math.whole_part(array("f", (a,)), 0, power)
-    assert found == (whole if abs(whole) < 1 << 30 else 0)
+    result = float32_math.whole_part(array("f", (a,)), 0, power)
+    assert result == (whole if abs(whole) < 1 << 30 else 0)

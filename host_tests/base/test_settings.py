@@ -18,7 +18,7 @@ SOURCE = inspect.getsource(module)
 
 
 def fresh(store: "MemoryStore | None" = None, **board) -> Settings:
-    """Return settings as they are at a start."""
+    """Return settings as they are at a start. board: defaults, max_step_hz, step_pulse_min_us."""
     settings = Settings(store or MemoryStore(), 3, board.get("defaults", {}))
     settings.max_step_hz = board.get("max_step_hz", 0)
     settings.step_pulse_min_us = board.get("step_pulse_min_us", settings.step_pulse_min_us)
@@ -36,6 +36,7 @@ NUMBERS = sorted(shown(fresh()))
 
 
 def table_rows() -> "list[ast.expr]":
+    """Return the syntax trees of the rows of _TABLE."""
     for node in ast.walk(ast.parse(SOURCE)):
         if isinstance(node, ast.AnnAssign) and ast.unparse(node.target) == "_TABLE":
             assert isinstance(node.value, ast.Tuple)
@@ -50,6 +51,7 @@ def test_every_setting_is_documented_above_its_row(row: ast.expr) -> None:
 
 
 def test_rows_and_annotations_agree() -> None:
+    """Each row has an attribute of Settings; one value per axis is an array."""
     kinds = {name: str(kind) for name, kind in Settings.__annotations__.items()}
     assert list(kinds) == [name for _, name, *_ in _TABLE]
     for _, name, kind, *_ in _TABLE:
@@ -80,6 +82,7 @@ changes = st.lists(st.tuples(st.sampled_from(NUMBERS), amounts), max_size=12)
 
 @given(changes)
 def test_stored_value_comes_back(changes: "list[tuple[int, float]]") -> None:
+    """A refused change has no effect; a new object with the same store has the same values."""
     store = MemoryStore()
     settings = fresh(store)
     for number, amount in changes:
@@ -94,6 +97,8 @@ def test_stored_value_comes_back(changes: "list[tuple[int, float]]") -> None:
 
 
 def test_fine_resolution_is_loaded_with_the_slow_rate_it_needs() -> None:
+    """$100 = 5000 steps/mm is allowed only with a low $110, which is stored after it: 60 mm/min
+    are 5000 steps/s."""
     store = MemoryStore()
     settings = fresh(store, max_step_hz=30_000)
     settings.set(110, 60)
@@ -103,6 +108,7 @@ def test_fine_resolution_is_loaded_with_the_slow_rate_it_needs() -> None:
 
 @pytest.mark.parametrize("least", [1, 2, 3])
 def test_pulses_are_at_least_as_long_as_the_board_says(least: int) -> None:
+    """least: STEP_PULSE_MIN_US of the board; $0 is the length of pulses in us."""
     settings = fresh(step_pulse_min_us=least)
     settings.set(0, least)
     with pytest.raises(GrblError) as refused:
@@ -118,6 +124,7 @@ def test_a_board_without_the_option_has_pulses_of_3_us_even_if_shorter_ones_are_
 
 
 def test_soft_limits_are_loaded_with_the_homing_they_need() -> None:
+    """$20 needs $22, which is loaded after it."""
     store = MemoryStore()
     settings = fresh(store)
     settings.set(22, 1)
@@ -128,7 +135,7 @@ def test_soft_limits_are_loaded_with_the_homing_they_need() -> None:
 def test_lines_of_another_firmware_are_kept() -> None:
     store = MemoryStore()
     fresh(store)
-    store.files["settings"].append("$341=2")
+    store.files["settings"].append("$341=2")  # a setting unknown here
     settings = fresh(store)
     settings.set(110, 700)
     assert "$341=2" in store.files["settings"]
@@ -153,6 +160,7 @@ def heard(settings: Settings) -> "list[int]":
 
 
 def test_every_subscriber_is_notified_of_every_change() -> None:
+    """ALL: many settings at once, by restore() and load()."""
     settings = fresh()
     first, second = heard(settings), heard(settings)
     settings.set(110, 700)
@@ -163,18 +171,22 @@ def test_every_subscriber_is_notified_of_every_change() -> None:
 
 
 def test_subscriber_is_notified_after_the_change_and_before_it_is_stored() -> None:
+    """It sees the new value, and the old lines in the store."""
     store = MemoryStore()
     settings = fresh(store)
-    seen: list[object] = []
-    settings.on_change(lambda: seen.append((settings.max_rate[0], list(store.files["settings"]))))
+    notified: list[object] = []
+    settings.on_change(
+        lambda: notified.append((settings.max_rate[0], list(store.files["settings"])))
+    )
     before = list(store.files["settings"])
     settings.set(110, 700)
-    assert seen == [(700, before)]
+    assert notified == [(700, before)]
     assert store.files["settings"] != before
 
 
 @pytest.mark.parametrize(("number", "amount"), [(0, 2), (20, 1), (40, 1), (110, -1)])
 def test_refused_change_is_not_notified(number: int, amount: float) -> None:
+    """Too short a pulse, soft limits without homing, an unknown number, a negative rate."""
     settings = fresh()
     numbers = heard(settings)
     with pytest.raises(GrblError):
@@ -184,6 +196,7 @@ def test_refused_change_is_not_notified(number: int, amount: float) -> None:
 
 @pytest.mark.parametrize("kept", [None, ["$110=5x0"]])
 def test_defaults_after_unreadable_settings_are_notified_once(kept: object) -> None:
+    """kept: the stored lines; None: there are none."""
     store: Any = MemoryStore()
     if kept:
         store.files["settings"] = kept
@@ -218,6 +231,8 @@ def boot(machine: Machine) -> "list[str]":
     ],
 )
 def test_damaged_settings_are_restored_and_reported(damage: "list[str] | None") -> None:
+    """damage: the stored lines; None: there are none. error:7 is Grbl's report of it; settings
+    follow."""
     machine = Machine(watched=False)
     files = machine.rig.store.files
     if damage is None:
@@ -250,8 +265,8 @@ class NewStore(MemoryStore):
 def test_new_board_stores_factory_settings_and_reports_them_once_after_the_welcome() -> None:
     machine = Machine(watched=False)
     machine.rig.store = store = NewStore()
-    told = "[MSG:First start: factory settings]"
-    assert boot(machine) == ["", "Grbl 1.1h ['$' for help]", told]
+    message = "[MSG:First start: factory settings]"
+    assert boot(machine) == ["", "Grbl 1.1h ['$' for help]", message]
     assert "$110=500" in store.files["settings"], "they are written"
     machine = Machine(watched=False)
     machine.rig.store = store
@@ -273,14 +288,15 @@ class FullStore(MemoryStore):
     """A store that refuses every write."""
 
     def save(self, name: str, lines: object) -> None:
-        raise OSError(28)
+        raise OSError(28)  # ENOSPC
 
 
 def test_machine_with_full_flash_starts_with_defaults_and_reports_it() -> None:
     machine = Machine(watched=False)
     machine.rig.store = FullStore()
     machine.play(["G91", "G1X1F300", "$110=600"])
+    # three stores at the start, and $110
     assert machine.received.count("[MSG:Flash is full or worn: not saved]") == 4
     assert "$110=500.000" in machine.received
-    assert machine.received[-2:-1] == ["error:7"]
-    assert machine.physical() == [250, 0, 0]
+    assert machine.received[-2:-1] == ["error:7"]  # the answer to $110, before the last report
+    assert machine.physical() == [250, 0, 0]  # it moved 1 mm

@@ -56,11 +56,12 @@ EIGHT: dict[str, Any] = {
 
 
 def board(**changes: Any) -> ModuleType:
-    made = ModuleType("made")
+    """Return a board module like GOOD with these changes; None: without the option."""
+    module = ModuleType("made")
     for name, value in {**GOOD, **changes}.items():
         if value is not None:
-            setattr(made, name, value)
-    return made
+            setattr(module, name, value)
+    return module
 
 
 @pytest.mark.parametrize("name", REAL)
@@ -78,19 +79,20 @@ def test_board_has_a_description_and_the_arch_of_its_chip(name: str) -> None:
 @pytest.mark.parametrize("name", ["rpi_pico_w", "rpi_pico2"])
 def test_all_picos_are_wired_alike(name: str) -> None:
     """A board file cannot import another one, so the wiring is repeated in each."""
-    pico, other = vars(load_board("rpi_pico")), vars(load_board(name))
-    names = {key for key in (*pico, *other) if key.isupper()} - {
+    pico, other_pico = vars(load_board("rpi_pico")), vars(load_board(name))
+    names = {key for key in (*pico, *other_pico) if key.isupper()} - {
         "CHIP",
         "MPY_ARCH",
         "PLANNER_BLOCKS",
     }
-    assert {key: other[key] for key in names} == {key: pico[key] for key in names}
+    assert {key: other_pico[key] for key in names} == {key: pico[key] for key in names}
 
 
 @pytest.mark.parametrize("name", REAL)
 def test_board_is_data_only(name: str) -> None:
-    found = load_board(name)
-    values = {key: value for key, value in vars(found).items() if not key.startswith("_")}
+    """Options in capital letters with plain values: no functions, classes or imports."""
+    module = load_board(name)
+    values = {key: value for key, value in vars(module).items() if not key.startswith("_")}
     allowed = (int, float, str, tuple, dict, bool)
     assert all(key.isupper() and isinstance(value, allowed) for key, value in values.items())
 
@@ -179,8 +181,9 @@ def test_board_is_data_only(name: str) -> None:
     ],
 )
 def test_mistake_is_named(changes: "dict[str, Any]", said: str) -> None:
-    found = problems(board(**changes))
-    assert (said in found[0] and len(found) == 1) if said else found == []
+    """said: what the only problem contains; "": there is no problem."""
+    texts = problems(board(**changes))
+    assert (said in texts[0] and len(texts) == 1) if said else texts == []
 
 
 @pytest.mark.parametrize(
@@ -195,18 +198,20 @@ def test_mistake_is_named(changes: "dict[str, Any]", said: str) -> None:
 def test_defaults_are_only_for_settings_of_the_board(
     options: "dict[str, Any]", refused: str
 ) -> None:
-    said = problems(board(**options))
-    assert len(said) == bool(refused) and all(refused in text for text in said), said
+    """$800 exists with JERK only, $780 with SKEW. refused: part of the problem; "": none."""
+    texts = problems(board(**options))
+    assert len(texts) == bool(refused) and all(refused in text for text in texts), texts
 
 
 @pytest.mark.parametrize("text", ["def install(cnc:\n", "1 / 0\n"])
 def test_extra_that_fails_is_reported(
     text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """A syntax error, or an exception at import."""
     (tmp_path / "broken.py").write_text(text)
     monkeypatch.syspath_prepend(str(tmp_path))
-    (said,) = problems(board(EXTRAS=("broken",)))
-    assert said.startswith(
+    (problem,) = problems(board(EXTRAS=("broken",)))
+    assert problem.startswith(
         ("EXTRAS: a module fails: SyntaxError: ", "EXTRAS: a module fails: Zero")
     )
 
@@ -214,6 +219,7 @@ def test_extra_that_fails_is_reported(
 def test_extra_that_imports_the_firmware_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """A board has only the modules that its options need; extras.api and time are always there."""
     (tmp_path / "greedy.py").write_text(
         "from base.errors import GrblError\nimport extras.api, time\ndef install(cnc): pass\n"
     )
@@ -236,13 +242,15 @@ def test_extra_and_custom_module_need_different_names(
 
 
 def test_pins_that_affect_the_start_are_reported() -> None:
-    uno = ModuleType("board")
+    """notes() lists what is possible, but may surprise: pin 12 of an ESP32 decides its flash
+    voltage at start, a WROVER module uses pins 16 and 17."""
+    esp32_uno = ModuleType("board")
     shield = {"STEP": (26, 25, 17), "DIR": (16, 27, 14)}
-    uno.__dict__.update({**vars(load_board("esp32_devkit")), **shield})
-    told = notes(uno)
-    enable = next(text for text in told if text.startswith("ENABLE: pin 12 "))
+    esp32_uno.__dict__.update({**vars(load_board("esp32_devkit")), **shield})
+    texts = notes(esp32_uno)
+    enable = next(text for text in texts if text.startswith("ENABLE: pin 12 "))
     assert "does not start" in enable and "CNC shield" in enable
-    wrover = [text.split(":")[0] for text in told if "WROVER" in text]
+    wrover = [text.split(":")[0] for text in texts if "WROVER" in text]
     assert wrover == ["STEP", "DIR"]
     assert not any("WROVER" in text for text in notes(load_board("esp32_devkit")))
     assert notes(load_board("rpi_pico")) == notes(load_board("sim")) == []

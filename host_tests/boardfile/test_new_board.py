@@ -20,6 +20,7 @@ _PICO = ("--chip", "pico", "--pin", "step=2,3,4", "--pin", "dir=5,6,7")
 
 
 def ugrbl(*words: object, answers: str = "") -> Result:
+    """Run `ugrbl new-board` with these words; answers: lines of input."""
     return CliRunner().invoke(app, ["new-board", *map(str, words)], input=answers)
 
 
@@ -29,7 +30,7 @@ def file(tmp_path: Path) -> Path:
 
 
 def test_board_made_of_options_is_accepted_by_the_firmware(file: Path) -> None:
-    done = ugrbl(
+    result = ugrbl(
         "router",
         *_PICO,
         "--pin",
@@ -41,16 +42,17 @@ def test_board_made_of_options_is_accepted_by_the_firmware(file: Path) -> None:
         "-o",
         file,
     )
-    assert done.exit_code == 0, done.output
+    assert result.exit_code == 0, result.output
     board: Any = load(file)
     assert (board.ENGINE, board.MPY_ARCH) == ("pio", "armv6m")
     assert (board.STEP, board.DIR, board.LIMIT) == ((2, 3, 4), (5, 6, 7), (9, 10, 11))
     assert board.PROBE == 12 and board.DEFAULTS == {100: 800}
     assert not hasattr(board, "CONTROL")
-    assert "GPIO 9" in done.output and "limit switches X" in done.output
+    assert "GPIO 9" in result.output and "limit switches X" in result.output
 
 
 def test_firmware_reads_its_options_from_the_file(file: Path) -> None:
+    """Options is the class with which a board reads its file."""
     from boot.wiring import Options
 
     ugrbl("router", *_PICO, "--set", "110=3000", "-o", file)
@@ -59,28 +61,30 @@ def test_firmware_reads_its_options_from_the_file(file: Path) -> None:
 
 
 def test_inputs_and_dependent_options_match_the_existing_boards(file: Path) -> None:
-    words = ("--chip", "esp32", "--pin", "step=26,25,17", "--pin", "dir=16,27,14")
+    """Options that follow from others: pins 35 and 39 of an ESP32 have no pull-up, a door pin
+    means SAFETY_DOOR."""
+    outputs = ("--chip", "esp32", "--pin", "step=26,25,17", "--pin", "dir=16,27,14")
     controls = ("--pin", "hold=4", "--pin", "door=35", "--pin", "probe=39", "--pin", "mist_pin=18")
-    assert ugrbl("router", *words, *controls, "-o", file).exit_code == 0
+    assert ugrbl("router", *outputs, *controls, "-o", file).exit_code == 0
     board: Any = load(file)
-    assert board.CONTROL == (None, 4, None, 35)
+    assert board.CONTROL == (None, 4, None, 35)  # reset, hold, start, door
     assert board.NO_PULL_UP == (35, 39)
     assert board.SAFETY_DOOR and board.MIST and board.MIST_PIN == 18
     assert (board.ENGINE, board.LINK, board.MAX_STEP_RATE_HZ) == ("rmt", "uart", 5000)
 
 
 def test_existing_board_can_be_made_again(file: Path) -> None:
-    there: Any = load_board("esp32_devkit")
-    words = [f"step={there.STEP}", f"dir={there.DIR}", f"limit={there.LIMIT}"]
-    words += [f"enable={there.ENABLE}", f"probe={there.PROBE}", "hold=4", "start=35"]
-    words += [f"spindle_pwm={there.SPINDLE_PWM}", f"spindle_dir={there.SPINDLE_DIR}"]
+    existing: Any = load_board("esp32_devkit")
+    words = [f"step={existing.STEP}", f"dir={existing.DIR}", f"limit={existing.LIMIT}"]
+    words += [f"enable={existing.ENABLE}", f"probe={existing.PROBE}", "hold=4", "start=35"]
+    words += [f"spindle_pwm={existing.SPINDLE_PWM}", f"spindle_dir={existing.SPINDLE_DIR}"]
     options = [
         part for word in words for part in ("--pin", word.replace("(", "").replace(")", ""))
     ]
     assert ugrbl("router", "--chip", "esp32", *options, "-o", file).exit_code == 0
     made: Any = load(file)
     for name in ("ENGINE", "LINK", "MPY_ARCH", "STEP", "DIR", "LIMIT", "CONTROL", "NO_PULL_UP"):
-        assert getattr(made, name) == getattr(there, name), name
+        assert getattr(made, name) == getattr(existing, name), name
 
 
 def test_four_axes_are_possible(file: Path) -> None:
@@ -92,46 +96,50 @@ def test_four_axes_are_possible(file: Path) -> None:
 def test_eight_motors_need_an_axis_for_each(file: Path) -> None:
     """Pins above 31 are only for slow outputs; the file says which chip has them."""
     pins = ("--chip", "rp2350b", "--pin", "step=0,1,2,3,4,5,6,7")
-    words = (*pins, "--pin", "dir=8,9,10,11,12,13,14,15")
-    done = ugrbl("router", *words, "-o", file)
-    assert done.exit_code == 1
-    assert "STEP has 8 pins and there are 6 axes: MOTORS says" in " ".join(done.output.split())
-    done = ugrbl("router", *words, "--motors", "XYZABCYX", "--pin", "flood=47", "-o", file)
-    assert done.exit_code == 0, done.output
+    wiring = (*pins, "--pin", "dir=8,9,10,11,12,13,14,15")
+    result = ugrbl("router", *wiring, "-o", file)
+    assert result.exit_code == 1
+    assert "STEP has 8 pins and there are 6 axes: MOTORS says" in " ".join(result.output.split())
+    result = ugrbl("router", *wiring, "--motors", "XYZABCYX", "--pin", "flood=47", "-o", file)
+    assert result.exit_code == 0, result.output
     board: Any = load(file)
     assert (board.CHIP, board.MOTORS, board.FLOOD) == ("rp2350b", "XYZABCYX", 47)
+    # motors: refused, accepted; axes of rotation: none; directions: refused, accepted; the rest is
+    # left out
     answers = ["XYZ", "XYZABCXY", "", "8 9 10 11 12 13 14 32", "8 9 10 11 12 13 14 15"]
     answers += [""] * 13
-    words = (*pins, "--ask", "--force", "-o", file)
-    done = ugrbl("router", *words, answers="\n".join(answers) + "\n")
-    assert done.exit_code == 0, done.output
-    assert "MOTORS has 3 letters, and STEP 8 pins" in done.output
-    assert "DIR: pin 32 cannot do it" in done.output
+    wiring = (*pins, "--ask", "--force", "-o", file)
+    result = ugrbl("router", *wiring, answers="\n".join(answers) + "\n")
+    assert result.exit_code == 0, result.output
+    assert "MOTORS has 3 letters, and STEP 8 pins" in result.output
+    assert "DIR: pin 32 cannot do it" in result.output
 
 
 def test_rotary_axis_is_asked_for(file: Path) -> None:
     pins = ("--chip", "rp2040", "--pin", "step=0,1,2,3")
+    # motors as they are; rotary axis: X is refused, a is A; directions; no other pins
     answers = ["", "X", "a", "4 5 6 7", *[""] * 13]
-    done = ugrbl("router", *pins, "--ask", "-o", file, answers="\n".join(answers) + "\n")
-    assert done.exit_code == 0, done.output
-    assert "X is none of A, B, C here" in done.output
+    result = ugrbl("router", *pins, "--ask", "-o", file, answers="\n".join(answers) + "\n")
+    assert result.exit_code == 0, result.output
+    assert "X is none of A, B, C here" in result.output
     board: Any = load(file)
     assert board.ROTARY == "A"
 
 
 def test_questions_are_repeated_until_the_answer_is_valid(file: Path) -> None:
     """The test answers on a terminal, as a user does."""
+    # step pins: 99 is refused; directions: 4 is refused; enable pin 8; no other pins
     answers = ["pico", "2 3 99", "2 3 4", "4 5 6", "5 6 7", "8", *[""] * 13]
-    master, slave = pty.openpty()
+    user_end, its_end = pty.openpty()
     command = [sys.executable, "-m", "ugrbl.cli", "new-board", "router", "-o", str(file)]
-    asked = subprocess.Popen(
-        command, stdin=slave, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    process = subprocess.Popen(
+        command, stdin=its_end, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     )
-    os.write(master, ("\n".join(answers) + "\n").encode())
-    output, _ = asked.communicate(timeout=60)
-    os.close(master)
-    os.close(slave)
-    assert asked.returncode == 0, output
+    os.write(user_end, ("\n".join(answers) + "\n").encode())
+    output, _ = process.communicate(timeout=60)
+    os.close(user_end)
+    os.close(its_end)
+    assert process.returncode == 0, output
     assert "has no pin 99" in output
     assert "pin 4 is STEP already" in output
     board = load(file)
@@ -178,9 +186,9 @@ def test_questions_are_repeated_until_the_answer_is_valid(file: Path) -> None:
 def test_impossible_input_is_refused_with_a_reason(
     file: Path, words: tuple[str, ...], why: str
 ) -> None:
-    done = ugrbl("router", *words, "-o", file)
-    assert done.exit_code == 1
-    assert why in " ".join(done.output.split())
+    result = ugrbl("router", *words, "-o", file)
+    assert result.exit_code == 1
+    assert why in " ".join(result.output.split())
     assert not file.exists()
 
 
@@ -227,10 +235,11 @@ def test_file_in_a_folder_has_the_name_of_the_board(tmp_path: Path) -> None:
 def test_place_that_cannot_be_written_is_reported_before_any_file_is_written(
     tmp_path: Path, words: list[str]
 ) -> None:
+    """FILE and FOLDER stand for a file, which is no folder, and a folder, which is no file."""
     (tmp_path / "file").write_text("")
-    there = {"FILE": tmp_path / "file", "FOLDER": tmp_path}
-    for name, place in there.items():
-        words = [word.replace(name, str(place)) for word in words]
+    paths = {"FILE": tmp_path / "file", "FOLDER": tmp_path}
+    for name, path in paths.items():
+        words = [word.replace(name, str(path)) for word in words]
     done = ugrbl("router", *_PICO, "-o", tmp_path / "new.py", *words)
     assert done.exit_code == 1 and isinstance(done.exception, SystemExit)
     assert "folder" in done.output and not (tmp_path / "new.py").exists()
@@ -244,20 +253,21 @@ def test_pins_with_side_effects_are_reported(file: Path) -> None:
     words = ("--chip", "esp32", "--pin", "step=12,13,14", "--pin", "dir=25,26,27")
     done = ugrbl("router", *words, "--pin", "limit=34,35,36", "-o", file)
     assert done.exit_code == 0, done.output
-    said = " ".join(done.output.split())
-    assert "pin 12 (step pulses X) pulled up at start" in said
-    assert "pin 34 (limit switches X) has no pull-up" in said
+    output = " ".join(done.output.split())
+    assert "pin 12 (step pulses X) pulled up at start" in output
+    assert "pin 34 (limit switches X) has no pull-up" in output
 
 
 def test_pins_are_printed_as_json(file: Path) -> None:
     done = ugrbl("router", *_PICO, "-o", file, "--json", "-")
-    found = json.loads(done.stdout)
-    assert found["pins"]["STEP"] == [2, 3, 4] and found["file"] == str(file)
+    printed = json.loads(done.stdout)
+    assert printed["pins"]["STEP"] == [2, 3, 4] and printed["file"] == str(file)
 
 
 def test_file_refused_by_board_check_is_removed(
     file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """The check of the written file finds a problem that the questions did not."""
     monkeypatch.setattr(board_check, "problems", lambda board: ["the engine wants more"])
     done = ugrbl("router", *_PICO, "-o", file)
     assert done.exit_code == 1 and "the engine wants more" in done.output
@@ -281,6 +291,7 @@ def test_pins_are_read_in_common_notations(text: str) -> None:
 def test_radio_and_page_are_used_when_asked_for(
     file: Path, chip: str, words: "list[str]", link: str, page: bool
 ) -> None:
+    """link, page: LINK and PAGE in the new board file."""
     pins = ("--pin", "step=4,5,12", "--pin", "dir=7,15,16")
     done = ugrbl("router", "--chip", chip, *pins, *words, "-o", file)
     assert done.exit_code == 0, done.output

@@ -81,16 +81,17 @@ def reads(tree: ast.AST) -> Iterator[Read]:
 
 
 def value(node: ast.expr, tree: ast.Module) -> Any:
-    """Return a default; it may be a constant of its module."""
+    """Return the value of a default; it may be a constant of its module (tree)."""
     for statement in tree.body:
         match node, statement:
-            case ast.Name(name), ast.Assign([ast.Name(defined)], given) if name == defined:
-                number = given.args[0] if isinstance(given, ast.Call) else given
+            case ast.Name(name), ast.Assign([ast.Name(defined)], assigned) if name == defined:
+                number = assigned.args[0] if isinstance(assigned, ast.Call) else assigned
                 return ast.literal_eval(number)
     return ast.literal_eval(node)
 
 
 def read_in(folder: Path) -> "Iterator[tuple[str, Read, ast.Module]]":
+    """Yield (file name, option that it reads, syntax tree) for all modules in a folder."""
     for file in sorted(folder.rglob("*.py")):
         tree = ast.parse(file.read_text("utf-8"))
         yield from ((file.name, read, tree) for read in reads(tree))
@@ -98,6 +99,7 @@ def read_in(folder: Path) -> "Iterator[tuple[str, Read, ast.Module]]":
 
 @cache
 def everywhere() -> "list[tuple[str, Read, ast.Module]]":
+    """Return the same for firmware, simulator and self-test."""
     folders = (paths.FIRMWARE, paths.TOOLS / "sim", paths.TOOLS / "device/selftest/on_board")
     return [row for folder in folders for row in read_in(folder)]
 
@@ -110,6 +112,7 @@ def test_all_forms_of_reading_an_option_are_found() -> None:
     )
     found = {read.name: read.default for read in reads(ast.parse(text))}
     assert set(found) == set("ABCDEFGHI")
+    # only these have a default
     assert {name for name, default in found.items() if default} == set("ABF")
 
 
@@ -125,11 +128,11 @@ def test_defaults_in_code_match_the_table() -> None:
     for file, read, tree in everywhere():
         if not read.default:
             continue
-        found, stated = value(read.default, tree), BY_NAME[read.name].default
-        if stated is NEEDED or found in _NOTHING:
-            assert found in _NOTHING and (stated is NEEDED or not stated), (file, read.name)
+        in_code, in_table = value(read.default, tree), BY_NAME[read.name].default
+        if in_table is NEEDED or in_code in _NOTHING:
+            assert in_code in _NOTHING and (in_table is NEEDED or not in_table), (file, read.name)
         else:
-            assert (type(found), found) == (type(stated), stated), (file, read.name)
+            assert (type(in_code), in_code) == (type(in_table), in_table), (file, read.name)
 
 
 @pytest.mark.parametrize("option", OPTIONS, ids=lambda option: option.name)
@@ -137,16 +140,18 @@ def test_row_is_complete(option: Option) -> None:
     assert option.meaning.endswith((".", "?"))
     if option.default not in (NEEDED, None):
         assert option.problem(option.default) == ""
+    # only numbers have limits
     assert option.kind is COUNT or (option.low, option.high) == (0, None)
 
 
 def test_options_checked_as_pins_are_pins_in_the_table() -> None:
+    """checked: options that engines, the pin check and extras treat as pins."""
     kinds = (PIN, PINS, PIN_OR_PINS, NAMED_PINS)
     pins = {option.name for option in OPTIONS if option.kind in kinds} - {"NO_PULL_UP"}
-    named = {name for engine in engines.engines().values() for name in engine.pins}
-    named |= {*pin_check._NAMES.split(), *job_commands.PINS, *punch.PINS, *tmc2209.PINS}
-    named |= {*power_fail.PINS}
-    assert named == pins
+    checked = {name for engine in engines.engines().values() for name in engine.pins}
+    checked |= {*pin_check._NAMES.split(), *job_commands.PINS, *punch.PINS, *tmc2209.PINS}
+    checked |= {*power_fail.PINS}
+    assert checked == pins
     assert set(INVERTIBLE) < pins
 
 
@@ -160,9 +165,11 @@ def test_engine_is_complete() -> None:
 
 
 def test_engine_rate_matches_the_rate_at_its_shortest_pulse() -> None:
+    """The table engines() states rates without an engine; here they are those of the engine
+    classes."""
     known, nobody = engines.engines(), cast("Any", None)
-    assert known["pio"].most_hz == PioEngine.max_step_hz(nobody, 3)
-    frames = SimpleNamespace(_rate_hz=125_000, _frames_of=lambda us: 2)  # 16 us
+    assert known["pio"].most_hz == PioEngine.max_step_hz(nobody, 3)  # 3 us
+    frames = SimpleNamespace(_rate_hz=125_000, _frames_of=lambda us: 2)  # 2 frames: 16 us
     assert known["i2s"].most_hz == i2s.I2sEngine.max_step_hz(cast("Any", frames), 16)
     rates = {
         board.MAX_STEP_RATE_HZ for board in map(load_board, boards()) if board.ENGINE == "rmt"

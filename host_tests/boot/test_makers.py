@@ -61,6 +61,7 @@ def calls(node: ast.AST) -> Iterator[str]:
 
 
 def later() -> Iterator[tuple[str, str]]:
+    """Yield (module, name) of each call that may be made after the machine is built."""
     for module, tree in trees().items():
         for node in ast.walk(tree):
             if isinstance(node, ast.FunctionDef) and module not in BUILDING:
@@ -73,12 +74,13 @@ def test_no_maker_is_called_while_the_machine_runs() -> None:
 
 
 def test_no_extra_registers_while_the_machine_runs() -> None:
+    """Methods of Cnc that register something are removed from memory, too."""
     registering = {n for n in vars(api.Cnc) if any(word in n for word in api.MAKERS)}
-    assert registering
+    assert registering  # there are some
     extras = [(m, n) for m, n in later() if m.startswith("extras.") and m != "extras.api"]
     assert [(module, name) for module, name in extras if name in registering] == []
 
 
 def test_no_object_is_created_while_the_machine_runs() -> None:
-    made = {name for _, name in later() if not is_fault(name)}
-    assert made - APART == set()
+    created = {name for _, name in later() if not is_fault(name)}
+    assert created - APART == set()

@@ -19,20 +19,22 @@ from boot import parts
 def test_engine_is_refused_only_below_its_oldest_version(
     engine: str, machine: str, oldest: "tuple[int, int]"
 ) -> None:
+    """too_old() returns a text, or "". The text must not look like an answer to a sender."""
     assert parts.too_old(engine, machine, oldest) == ""
     assert parts.too_old(engine, machine, (2, 0)) == ""
-    why = parts.too_old(engine, machine, (oldest[0], oldest[1] - 1))
-    assert f"needs {oldest[0]}.{oldest[1]} or newer" in why
+    text = parts.too_old(engine, machine, (oldest[0], oldest[1] - 1))
+    assert f"needs {oldest[0]}.{oldest[1]} or newer" in text
     for word in ("ok", "error"):
-        assert word not in why.lower()
+        assert word not in text.lower()
 
 
 def board(engine: str, *left_out: str) -> ModuleType:
-    made = ModuleType("board")
-    names = {"ENGINE": engine, "STEP": (1,), "DIR": (2,), "ENABLE": 3, "I2S": (4, 5, 6)}
-    names |= {"I2S_RATE_HZ": 125_000, "I2S_BUFFERS": 16}
-    vars(made).update({name: value for name, value in names.items() if name not in left_out})
-    return made
+    """Return a board with what any engine needs, without these options."""
+    module = ModuleType("board")
+    options = {"ENGINE": engine, "STEP": (1,), "DIR": (2,), "ENABLE": 3, "I2S": (4, 5, 6)}
+    options |= {"I2S_RATE_HZ": 125_000, "I2S_BUFFERS": 16}
+    vars(module).update({name: value for name, value in options.items() if name not in left_out})
+    return module
 
 
 def test_firmware_refuses_to_start_and_names_the_cause(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -41,7 +43,7 @@ def test_firmware_refuses_to_start_and_names_the_cause(monkeypatch: pytest.Monke
     with pytest.raises(ValueError, match=r"MicroPython 1\.25 is too old"):
         parts._check_engine(board("pio"))
     parts._check_engine(board("i2s"))  # not an engine of this chip: another check refuses it
-    monkeypatch.setattr(parts, "sys", sys)
+    monkeypatch.setattr(parts, "sys", sys)  # the Python of this computer is new enough
     parts._check_engine(board("pio"))
 
 

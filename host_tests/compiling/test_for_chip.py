@@ -11,15 +11,17 @@ _LAYOUT = "pio.state_layout"
 
 
 @pytest.mark.parametrize(
-    ("arch", "stays"),
+    ("arch", "is_on"),
     [("armv6m", False), ("armv7emsp", True), ("xtensawin", False), ("x64", False)],
 )
-def test_constant_says_whether_the_chip_may_be_an_rp2350(arch: str, stays: bool) -> None:
+def test_constant_says_whether_the_chip_may_be_an_rp2350(arch: str, is_on: bool) -> None:
+    """RP2350 is 1 in the sources; for_chip() sets it for the chips of an architecture (armv7emsp:
+    RP2350), and changes nothing else."""
     texts = build.texts()
-    made = for_chip(texts, arch)
-    assert ("\nRP2350 = const(1)\n" in made[_LAYOUT]) is stays
-    assert ("\nRP2350 = const(0)\n" in made[_LAYOUT]) is not stays
-    assert {name for name in texts if made[name] != texts[name]} <= {_LAYOUT}
+    for_arch = for_chip(texts, arch)
+    assert ("\nRP2350 = const(1)\n" in for_arch[_LAYOUT]) is is_on
+    assert ("\nRP2350 = const(0)\n" in for_arch[_LAYOUT]) is not is_on
+    assert {name for name in texts if for_arch[name] != texts[name]} <= {_LAYOUT}
 
 
 def test_sources_without_the_constant_are_refused() -> None:
@@ -28,9 +30,9 @@ def test_sources_without_the_constant_are_refused() -> None:
 
 
 @pytest.mark.thorough  # compiles all, twice
-@pytest.mark.parametrize(("name", "there"), [("rpi_pico", False), ("rpi_pico2", True)])
-def test_board_contains_rp2350_code_only_on_an_rp2350(name: str, there: bool) -> None:
+@pytest.mark.parametrize(("name", "contains"), [("rpi_pico", False), ("rpi_pico2", True)])
+def test_board_contains_rp2350_code_only_on_an_rp2350(name: str, contains: bool) -> None:
     """The text looked for belongs to the third PIO, and to the checks of 48 pins."""
     board: Any = load_board(name)
-    made = build.compile_all(board.MPY_ARCH, board).files["pio/engine.mpy"]
-    assert (b"only pins 0 to 31 make pulses" in made) is there
+    engine_file = build.compile_all(board.MPY_ARCH, board).files["pio/engine.mpy"]
+    assert (b"only pins 0 to 31 make pulses" in engine_file) is contains

@@ -194,6 +194,8 @@ def manifest(
     real_run: Any = subprocess.run
 
     def run(command: "list[str]", **options: Any) -> "subprocess.CompletedProcess[str]":
+        """Replace subprocess.run(): run `ugrbl build --frozen` in this process, other commands as
+        usual."""
         if "--frozen" not in command:  # the frozen command runs mpy-cross
             completed: subprocess.CompletedProcess[str] = real_run(command, **options)
             return completed
@@ -203,6 +205,7 @@ def manifest(
         return subprocess.CompletedProcess(command, result.exit_code, result.stdout, result.stderr)
 
     def execute(missing: str = "", **environment: str) -> "tuple[list[str], set[str]]":
+        """Run manifest.py with these variables; return includes and frozen files."""
         for name, value in environment.items():
             monkeypatch.setenv(name, value)
         included: list[str] = []
@@ -335,6 +338,7 @@ def test_only_the_boards_own_files_lie_next_to_frozen_firmware(
 def test_files_are_used_before_frozen_firmware_of_another_build(
     tmp_path: Path, made: build.Build
 ) -> None:
+    """01234567 is not the id of this build: all its files are put next to the frozen ones."""
     image, out = tmp_path / "firmware.uf2", tmp_path / "all.uf2"
     image.write_bytes(uf2.write(frozen_program("01234567")))
     result = ugrbl_uf2("--micropython", str(image), "-o", str(out))

@@ -41,11 +41,12 @@ def f(kinds):
 
 
 def run(sources: "dict[str, str]") -> "dict[str, object]":
-    """Return the names that the user's module defines when it runs."""
-    made = ModuleType("kinds")
-    vars(made)["const"] = lambda value: value  # not imported any more: the compiler resolves it
-    exec(sources["kinds"], vars(made))
-    sys.modules["kinds"] = made
+    """Run both modules; return what the user's module computes: É, and f() with another
+    `kinds`."""
+    module = ModuleType("kinds")
+    vars(module)["const"] = lambda value: value  # not imported any more: the compiler resolves it
+    exec(sources["kinds"], vars(module))
+    sys.modules["kinds"] = module
     try:
         values: dict[str, object] = {}
         exec(sources["user"], values)
@@ -59,6 +60,7 @@ def run(sources: "dict[str, str]") -> "dict[str, object]":
 def test_inlined_module_gives_the_same_results() -> None:
     before = {"kinds": KINDS, "user": USER}
     assert run(inline(before)) == run(before)
+    # 49 = 3 << 4 | 1; 16 = double(3) = 3 * 3 + 7; LATER is 6 at the end
     assert run(before) == {"É": ("é", 3, 49, "no number", 6, False), "f": (99, -2, 16, 4)}
 
 
@@ -70,10 +72,12 @@ def test_numbers_replace_names_and_no_line_moves() -> None:
     assert lines[9] == 'É = "é", 3, 49, kinds.TEXT, k.LATER, False'
     # The parameter `kinds` hides the module, so kinds.NAME stays.
     assert lines[13] == "    return kinds.NAME, (-2), double(3), 2 - (-2)"
+    # the definition is removed; _OWN is left to the compiler
     assert "NAME = const" not in after["kinds"] and "x * 3 + _OWN" in after["kinds"]
 
 
 def test_every_constant_of_the_firmware_is_inlined() -> None:
+    """Public constants disappear from all modules; line numbers stay."""
     sources = {
         ".".join(file.relative_to(FIRMWARE).with_suffix("").parts): file.read_text("utf-8")
         for file in FIRMWARE.rglob("*.py")

@@ -29,8 +29,9 @@ def kernels(tmp_path_factory: pytest.TempPathFactory) -> "dict[str, Path]":
 
 
 def computed(part: str, arch: str = "", file: "Path | None" = None) -> str:
-    """Return the output of vectors.py for this part; the kernels are those of a file if given."""
-    start = f"""\
+    """Return what vectors.py prints for this part: as Python, or by the machine code in `file` on
+    a model of the processor `arch`."""
+    script = f"""\
 import sys
 sys.path[:0] = {[str(STANDINS), *map(str, PATHS)]}
 sys.argv[1:] = [{part!r}]
@@ -44,19 +45,19 @@ import vectors
 vectors.main()
 """
     environment = as_users(UGRBL_VIPER="fast")
-    command = [sys.executable, "-c", start]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    command = [sys.executable, "-c", script]
+    process = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+    assert process.returncode == 0, process.stderr
+    return process.stdout
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("part", ["reals", "words", "blocks", "arcs"])
 def test_machine_code_computes_the_same_integers(kernels: "dict[str, Path]", part: str) -> None:
-    due = computed(part)
-    assert len(due.splitlines()) > 300
+    expected = computed(part)
+    assert len(expected.splitlines()) > 300  # lines: it did compute
     for arch, file in kernels.items():
-        assert computed(part, arch, file) == due, arch
+        assert computed(part, arch, file) == expected, arch
 
 
 _MADE = """
@@ -106,37 +107,43 @@ def none() -> int:
 
 @pytest.fixture(scope="module", params=[*compilers.PROCESSORS])
 def made(request: pytest.FixtureRequest) -> Board:
-    """Load the test kernels."""
+    """Return the test kernels, loaded on a model of each processor."""
     return Board(*c_of(_MADE), request.param)
 
 
 def test_machine_code_matches_viper(made: Board) -> None:
-    for a, b, due in ((7, 2, 1003), (-7, 2, 996), (7, -2, -1004), (-7, -2, -997)):
-        assert made.call(("made", "share"), a, b) == due
+    # Division rounds down: 7 // 2 + 1000 * (7 % 2) = 3 + 1000
+    for a, b, expected in ((7, 2, 1003), (-7, 2, 996), (7, -2, -1004), (-7, -2, -997)):
+        assert made.call(("made", "share"), a, b) == expected
     a, b = 0x12345678, -0x7654321
     wrapped = (a * b) ^ (a << 3) ^ (a >> 5)
+    # 32 bits, signed
     assert made.call(("made", "wraps"), a, b) == (wrapped + 2**31) % 2**32 - 2**31
     words = array("i", [6, 7, 8])
-    assert made.call(("made", "mixed"), words, 2, 3) == 13 + 2
-    assert list(words) == [7, 7 | -1 << 16, 11]
+    assert made.call(("made", "mixed"), words, 2, 3) == 13 + 2  # 1, 3 make 13; a and k: 2
+    assert list(words) == [7, 7 | -1 << 16, 11]  # 6 | 1; the upper half of words[1] set; 8 + 3
     assert made.call(("made", "none")) == 0x7FFFFFFF
 
 
 def test_address_may_be_passed_as_a_pointer(made: Board) -> None:
+    """through() passes the address of words[1] to mixed(): 13 + (a and k, 1), and share(7, 2) =
+    1003."""
     words = array("i", [1, 2, 3])
     assert made.call(("made", "through"), words, 1) == 13 + 1 + 1003
     assert list(words) == [1, 3, 3 + 3 | -1 << 16]
 
 
 def test_object_is_called_with_objects(made: Board) -> None:
-    heard: list[tuple[int, ...]] = []
+    """ask() calls who(a, 5), then who(), and returns the first result plus 1. a needs more than 30
+    bits, so it is no small integer on the board."""
+    calls: list[tuple[int, ...]] = []
 
     def who(*arguments: int) -> int:
-        heard.append(arguments)
+        calls.append(arguments)
         return sum(arguments)
 
     assert made.call(("made", "ask"), who, -(1 << 30) - 5) == -(1 << 30) + 1
-    assert heard == [(-(1 << 30) - 5, 5), ()]
+    assert calls == [(-(1 << 30) - 5, 5), ()]
 
 
 def test_none_differs_from_an_existing_object(made: Board) -> None:
@@ -146,17 +153,20 @@ def test_none_differs_from_an_existing_object(made: Board) -> None:
 
 @pytest.mark.parametrize("arch", compilers.PROCESSORS)
 def test_machine_code_runs_at_any_address(arch: str) -> None:
-    for moved in (16, 0x12340):
-        board = Board(*c_of(_MADE), arch, moved)
-        assert all(code >= CODE + moved for code in board.functions.values())
+    for offset in (16, 0x12340):
+        board = Board(*c_of(_MADE), arch, offset)
+        assert all(code >= CODE + offset for code in board.functions.values())
         assert board.call(("made", "share"), 7, 2) == 1003
 
 
 def test_only_requested_kernels_are_linked() -> None:
+    """Machine code of one kernel is less than a fifth of that of all."""
     c, keys = kernels_of("armv6m")
     fill = ("motion.segment_kernel", "fill")
-    part, whole = (len(machine_code.linked(c, "armv6m", tuple(each))) for each in ([fill], keys))
-    assert part < whole / 5
+    one_size, full_size = (
+        len(machine_code.linked(c, "armv6m", tuple(wanted))) for wanted in ([fill], keys)
+    )
+    assert one_size < full_size / 5
     assert list(Board(c, [fill]).functions) == [fill]
 
 

@@ -22,15 +22,17 @@ _LAYERS = {path.name for path in paths.FIRMWARE.iterdir() if path.is_dir()}
 def test_it_is_smaller_than_40_kb_on_a_pico(arch: str) -> None:
     made = motion_package.compile_for(arch)
     assert 30_000 < made.bytes < _MOST_BYTES
+    # the number of the processor in each .mpy file
     assert build.signature(made) >> 10 == {"armv6m": 4, "armv7emsp": 7}[arch]
 
 
 def test_the_page_has_its_sizes() -> None:
-    page = (paths.FIRMWARE.parent / "docs" / "engine.md").read_text(encoding="utf-8")
-    stated = [int(number.replace(",", "")) for number in re.findall(r"\| ([\d,]+) bytes \|", page)]
+    """Sizes in docs/engine.md, one per processor, are within 1 %."""
+    text = (paths.FIRMWARE.parent / "docs" / "engine.md").read_text(encoding="utf-8")
+    stated = [int(number.replace(",", "")) for number in re.findall(r"\| ([\d,]+) bytes \|", text)]
     sizes = [motion_package.compile_for(arch).bytes for arch in ARCHS]
-    for said, is_now in zip(stated, sizes, strict=True):
-        assert said == pytest.approx(is_now, rel=0.01)
+    for stated_bytes, actual_bytes in zip(stated, sizes, strict=True):
+        assert stated_bytes == pytest.approx(actual_bytes, rel=0.01)
 
 
 @pytest.mark.parametrize(("arch", "other"), [("armv6m", "rmt"), ("xtensawin", "pio")])
@@ -40,27 +42,30 @@ def test_everything_is_in_one_package_and_everything_imported_is_there(
     """other: the function of hardware.py that imports the engine of other chips."""
     made = motion_package.compile_for(arch)
     assert {path.split("/")[0] for path in made.files} == {LIBRARY}
-    there = {Path(path).stem for path in made.files}
-    seen = set()
+    modules = {Path(path).stem for path in made.files}
+    imported = set()
     for text in motion_package._in_one_package(arch).texts.values():
         for name in build.imported(text, frozenset({other})):
-            top, _, rest = name.partition(".")
+            top, _, inner = name.partition(".")
             assert top not in _LAYERS - {LIBRARY}, name
-            if top == LIBRARY and rest:
-                seen.add(rest.partition(".")[0])
-    assert seen <= there and len(seen) > 8
+            if top == LIBRARY and inner:
+                imported.add(inner.partition(".")[0])
+    assert imported <= modules and len(imported) > 8
 
 
 @pytest.mark.parametrize("arch", ARCHS)
 def test_package_itself_has_all_names_that_it_exports(arch: str) -> None:
+    """Its only assignment is __all__, and it imports exactly these names."""
     tree = ast.parse(motion_package._in_one_package(arch).texts[LIBRARY])
-    (exported,) = (node for node in tree.body if isinstance(node, ast.Assign))
+    (all_names,) = (node for node in tree.body if isinstance(node, ast.Assign))
     imports = (node for node in tree.body if isinstance(node, ast.ImportFrom))
     names = [alias.name for node in imports for alias in node.names]
-    assert sorted(names) == sorted(ast.literal_eval(exported.value)) != []
+    assert sorted(names) == sorted(ast.literal_eval(all_names.value)) != []
 
 
 def test_each_chip_gets_its_own_engine() -> None:
+    """Modules of the PIO engine are for a Pico (armv6m) only, those of RMT for an ESP32
+    (xtensawin)."""
     stems = {
         arch: {Path(path).stem for path in motion_package.compile_for(arch).files}
         for arch in ("armv6m", "xtensawin")
@@ -71,16 +76,17 @@ def test_each_chip_gets_its_own_engine() -> None:
 
 def test_nothing_of_the_g_code_machine_is_in_it() -> None:
     stems = {Path(path).stem for path in motion_package.compile_for("armv6m").files}
-    others = {
+    of_the_machine = {
         Path(source).stem
         for source in build.sources()
         if source.split("/")[0] in ("control", "language", "talk", "extras", "boot", "ports")
     }
-    assert not stems & others
+    assert not stems & of_the_machine
     assert not stems & {"settings", "state", "arc_geometry", "errors"}
 
 
 def test_boards_pay_nothing_for_it() -> None:
+    """A board's build has no module of the package."""
     assert not [source for source in build.sources() if source.startswith(LIBRARY)]
     for name in ("rpi_pico", "esp32_devkit"):
         modules = build.modules_of(load_for_build(board_file(name)))
@@ -88,7 +94,8 @@ def test_boards_pay_nothing_for_it() -> None:
 
 
 def test_its_modules_are_those_of_the_firmware() -> None:
-    """A second wiring: what is not in firmware/ugrbl_motion is the firmware's text."""
+    """The package adds a wiring of its own (firmware/ugrbl_motion); all other modules are the
+    firmware's."""
     own = {name.partition(".")[2] or "__init__" for name in motion_package.texts()}
     firmware = {Path(source).stem for source in build.sources()}
     texts = motion_package._in_one_package("xtensawin").texts
@@ -108,9 +115,9 @@ WRONG = {
 
 
 def mypy(folder: Path, *files: Path) -> str:
-    """Check files against the stubs in a folder only."""
+    """Check files with mypy against the stubs in a folder only; return its output."""
     options = ["--strict", "--no-incremental", "--cache-dir", str(folder / "cache")]
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-m", "mypy", "--config-file", "", *options, *map(str, files)],
         env={"MYPYPATH": str(folder / stubs.FOLDER), "PATH": ""},
         cwd=folder,
@@ -118,24 +125,28 @@ def mypy(folder: Path, *files: Path) -> str:
         text=True,
         check=False,
     )
-    return done.stdout + done.stderr
+    return process.stdout + process.stderr
 
 
 def put(folder: Path) -> None:
+    """Write the stubs of ugrbl_motion and of custom modules to a folder."""
     for path, text in {**stubs.motion(), **stubs.custom()}.items():
         paths.write(folder / path, text.encode())
 
 
 def test_stubs_fit_the_examples_and_find_mistakes(tmp_path: Path) -> None:
     put(tmp_path)
-    begin = "from ugrbl_motion import Axis, Group\nx = Axis(2, 5, 80, 100, 500)\n"
+    head = "from ugrbl_motion import Axis, Group\nx = Axis(2, 5, 80, 100, 500)\n"
     wrong = tmp_path / "wrong.py"
-    wrong.write_text(begin + "group = Group(x=x)\n" + "\n".join(WRONG) + "\n")
+    wrong.write_text(head + "group = Group(x=x)\n" + "\n".join(WRONG) + "\n")
     examples = sorted((paths.EXAMPLES / "motion").glob("*.py"))
     assert "Success" in mypy(tmp_path, *examples)
-    said = mypy(tmp_path, wrong).splitlines()
-    for number, text in enumerate(WRONG.values(), 4):
-        assert [row for row in said if f":{number}: error" in row and text in row], (number, said)
+    errors = mypy(tmp_path, wrong).splitlines()
+    for number, text in enumerate(WRONG.values(), 4):  # the mistakes of WRONG begin in line 4
+        assert [row for row in errors if f":{number}: error" in row and text in row], (
+            number,
+            errors,
+        )
 
 
 CUSTOM = """
@@ -163,6 +174,8 @@ def door(m: Machine, closed: bool) -> None:
 
 
 def test_stubs_of_custom_fit_programs_and_find_mistakes(tmp_path: Path) -> None:
+    """wrong.py calls a method that does not exist, passes text for a time, and uses an unknown
+    event."""
     put(tmp_path)
     right, wrong = tmp_path / "right.py", tmp_path / "wrong.py"
     right.write_text(CUSTOM)

@@ -124,6 +124,7 @@ def test_machine_unlocks_normally_after_estop_in_an_alarm_is_released() -> None:
 
 
 def test_machine_that_starts_with_estop_pressed_is_locked() -> None:
+    """It starts in alarm, shows the message, and refuses `$X`."""
     machine = Machine()
     machine.port.push(PRESSED)
 

@@ -52,6 +52,8 @@ class Bench:
     ids=["reset", "limit", "reset button", "emergency stop", "emergency, seen late", "fault"],
 )
 def test_tool_is_switched_off_before_motors_stop(stop: Any, alarm: int, by_pin: bool) -> None:
+    """by_pin: the reset came from an input, not from the link; bytes sent before it are dropped
+    then."""
     bench = Bench()
     stop(bench.drive)
     assert bench.asked == _STOPPED

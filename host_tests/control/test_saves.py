@@ -6,6 +6,8 @@ from fakes import FakeStore
 
 
 def test_newest_save_is_written_when_the_loop_asks_for_it() -> None:
+    """save() only notes the lines; write_due(), called while the machine is idle, stores the last
+    ones."""
     store = FakeStore()
     saves = Saves(store)
     saves.save("settings", ["$0=1"])

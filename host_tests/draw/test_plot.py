@@ -33,6 +33,7 @@ needs_plotly = pytest.mark.skipif(find_spec("plotly") is None, reason="plotly is
 
 
 def trace(text: str, *settings: str, board: str = "sim") -> Motion:
+    """Run a program and return its motion, sampled over time."""
     return trace_program(split_lines(text.encode()), settings=settings, board=board)[1].motion
 
 
@@ -42,6 +43,7 @@ def ugrbl(*words: object) -> Result:
 
 @pytest.fixture
 def program(tmp_path: Path) -> Path:
+    """Return the file of a program of 8 lines: a square, a rise, a dwell and an arc."""
     file = tmp_path / "square.nc"
     file.write_text(_SQUARE)
     return file
@@ -54,6 +56,7 @@ def test_speed_and_acceleration_are_those_of_the_trapezoid() -> None:
     # 600 mm/min = 10 mm/s; speeding up and braking at 10 mm/s2.
     motion = trace("G1 X20 F600\n", "$110=1000")
     assert max(motion.speed_mm_s) == pytest.approx(10, rel=0.001)
+    # 1 s of acceleration, 1 s of cruise, 1 s of braking
     ramp = [a for a, t in zip(motion.acceleration(0), motion.time_s) if 0.1 < t < 0.9]
     assert sum(ramp) / len(ramp) == pytest.approx(10, rel=0.01)
     cruise = [a for a, t in zip(motion.acceleration(0), motion.time_s) if 1.1 < t < 1.9]
@@ -62,6 +65,7 @@ def test_speed_and_acceleration_are_those_of_the_trapezoid() -> None:
 
 
 def test_acceleration_drawn_is_less_than_34_percent_above_its_limit() -> None:
+    """It is computed from steps in segments, so it is not exact; limits in mm/s2 per axis."""
     motion = trace_program(lettering(), settings=["$122=40"])[1].motion
     for axis, limit in enumerate((10, 10, 40)):
         assert limit <= max(motion.acceleration(axis)) < 1.34 * limit
@@ -71,6 +75,7 @@ def test_step_rates_are_per_axis_and_use_its_resolution() -> None:
     motion = trace(
         "G1 X30 Y40 F600\n", "$110=1000", "$111=1000", "$101=100", "$120=100", "$121=100"
     )
+    # 10 mm/s along 30, 40: 6 and 8 mm/s; 250 and 100 steps/mm
     assert max(motion.step_hz(0)) == pytest.approx(6 * 250, rel=0.002)
     assert max(motion.step_hz(1)) == pytest.approx(8 * 100, rel=0.002)
     assert max(motion.step_hz(2)) == 0
@@ -79,14 +84,14 @@ def test_step_rates_are_per_axis_and_use_its_resolution() -> None:
 def test_motors_of_a_corexy_step_for_both_axes() -> None:
     motion = trace("G1 X10 Y10 F300\n", "$120=100", "$121=100", board="sim_corexy")
     assert max(motion.step_hz(0)) > 1000
-    assert max(motion.step_hz(1)) == 0
+    assert max(motion.step_hz(1)) == 0  # along X = Y motor B, x - y, stands still
     assert max(motion.acceleration(0)) == pytest.approx(max(motion.acceleration(1)))
 
 
 def test_dwell_is_drawn_as_rest() -> None:
     motion = trace("G1 X1 F300\nG4 P2\nG1 X2\n", "$120=100")
-    rest = [dt for dt, v in zip(motion.seconds, motion.speed_mm_s) if v == 0]
-    assert max(rest) == pytest.approx(2, abs=0.1)
+    pauses_s = [dt for dt, v in zip(motion.seconds, motion.speed_mm_s) if v == 0]
+    assert max(pauses_s) == pytest.approx(2, abs=0.1)
     assert sum(motion.seconds) == pytest.approx(motion.time_s[-1], rel=1e-6)
 
 
@@ -96,6 +101,7 @@ def test_path_ends_where_the_program_ends() -> None:
 
 
 def test_envelope_keeps_the_peaks() -> None:
+    """envelope() thins out a curve to at most 500 points, in order, and keeps its extremes."""
     values = np.zeros(10_001)
     values[7777], values[1234], values[10_000] = 9.0, -4.0, 11.0
     times, kept = drawing.envelope(np.arange(10_001.0), values, 500)
@@ -105,12 +111,13 @@ def test_envelope_keeps_the_peaks() -> None:
 
 def test_each_segment_has_its_line_and_whether_it_is_a_rapid() -> None:
     motion = trace("G0 X1\n(nothing)\nG1 X2 F300\nG4 P1\nG2 X4 Y0 R1\nG0 Z1\n")
-    found = {line: bool(rapid) for line, rapid in zip(motion.lines, motion.rapids) if line}
-    assert found == {1: True, 3: False, 5: False, 6: True}
+    is_rapid = {line: bool(rapid) for line, rapid in zip(motion.lines, motion.rapids) if line}
+    assert is_rapid == {1: True, 3: False, 5: False, 6: True}
     assert 0 in motion.lines  # at rest
 
 
 def test_power_of_the_tool_is_recorded() -> None:
+    """As a fraction of full power, at $30 = 1000."""
     motion = trace("M3 S500\nG1 X2 F300\nM5\nG0 X4\n")
     cut, rapid = motion.lines == 2, motion.lines == 4
     power = np.array(motion.power)
@@ -137,30 +144,33 @@ _FAST = ["$110=5000", "$111=5000", "$112=3000", "$120=500", "$121=500", "$122=50
 
 
 def away(points: Any, rows: Any) -> float:
-    """Return the distance of the points from the line through those of the rows."""
-    worst = 0.0
+    """Return the largest distance of the points from the drawn polyline, whose corners are these
+    rows."""
+    farthest = 0.0
     for begin, end in pairwise(rows):
-        part = points[begin : end + 1].astype(float)
-        way = part[-1] - part[0]
-        share = np.clip((part - part[0]) @ way / ((way @ way) or 1.0), 0, 1)
-        off = part - part[0] - share[:, None] * way
-        worst = max(worst, float(np.sqrt((off**2).sum(axis=1)).max()))
-    return worst
+        stretch = points[begin : end + 1].astype(float)
+        chord = stretch[-1] - stretch[0]
+        share = np.clip((stretch - stretch[0]) @ chord / ((chord @ chord) or 1.0), 0, 1)
+        offsets = stretch - stretch[0] - share[:, None] * chord
+        farthest = max(farthest, float(np.sqrt((offsets**2).sum(axis=1)).max()))
+    return farthest
 
 
 def test_longer_segments_of_a_long_job_change_neither_path_nor_time(monkeypatch: Any) -> None:
+    """Jobs of more than _MANY_LINES lines are traced in longer segments: fine is traced without,
+    coarse with them."""
     lines = lettering()
     fine = run_job("", lines, ["$120=50", "$121=50"])
     monkeypatch.setattr(motion_trace, "_MANY_LINES", 100)
     coarse = run_job("", lines, ["$120=50", "$121=50"])
     assert len(coarse.motion) < 0.6 * len(fine.motion)
     assert coarse.seconds == pytest.approx(fine.seconds, rel=1e-4)
-    for totals in (one.result.totals for one in (fine, coarse)):
+    for totals in (job.result.totals for job in (fine, coarse)):
         assert totals.steps_made == totals.steps_planned == fine.result.totals.steps_planned
     # Every point of the fine path lies on the coarse one, in the same line of the program.
-    moves = [(one.motion.lines, one.motion.points) for one in (fine, coarse)]
+    moves = [(job.motion.lines, job.motion.points) for job in (fine, coarse)]
     for line in range(1, len(lines) + 1, 7):
-        (of_fine,), (of_coarse,) = (np.nonzero(found == line) for found, _ in moves)
+        (of_fine,), (of_coarse,) = (np.nonzero(numbers == line) for numbers, _ in moves)
         if len(of_fine):
             path = moves[1][1][of_coarse[0] - 1 : of_coarse[-1] + 1]
             assert max(beside(point, path) for point in moves[0][1][of_fine]) < 0.01
@@ -170,14 +180,15 @@ def beside(point: Any, path: Any) -> float:
     """Return the distance of a point from a polyline."""
     nearest = math.inf
     for begin, end in pairwise(path.astype(float)):
-        way = end - begin
-        share = np.clip((point - begin) @ way / ((way @ way) or 1.0), 0, 1)
-        nearest = min(nearest, float(np.linalg.norm(point - begin - share * way)))
+        side = end - begin
+        share = np.clip((point - begin) @ side / ((side @ side) or 1.0), 0, 1)
+        nearest = min(nearest, float(np.linalg.norm(point - begin - share * side)))
     return nearest
 
 
 @pytest.mark.parametrize("most", [600_000, 900])
 def test_drawing_is_within_its_stated_tolerance_of_the_path(most: int) -> None:
+    """most: points allowed; with 900 the tolerance must be widened, and the drawing states it."""
     job = run_job("", lettering(), _FAST)
     drawn = drawing.draw(job, most)
     assert (drawn.tolerance_mm > drawing.TOLERANCE_MM) == (most == 900)
@@ -191,8 +202,9 @@ def test_drawn_cuts_are_cuts_and_drawn_rapids_are_rapids() -> None:
     drawn = drawing.draw(job, 600_000)
     cuts, rapids = drawn.strokes(False), drawn.strokes(True)
     # Only circles of 1 mm are cut, and the moves down to them.
-    middle = (cuts[:, 0] + cuts[:, 1]) / 2
-    x, y = (middle[:, 0] + 1) % 4, middle[:, 1] % 5
+    middles = (cuts[:, 0] + cuts[:, 1]) / 2
+    # circles are 4 mm apart in X, 5 in Y: middles relative to the nearest one
+    x, y = (middles[:, 0] + 1) % 4, middles[:, 1] % 5
     radius = np.hypot(np.where(x > 2, x - 4, x), np.where(y > 2.5, y - 5, y))
     assert abs(radius - 1).max() < drawn.tolerance_mm + 0.01
     assert (rapids[:, :, 2].min(), rapids[:, :, 2].max()) == pytest.approx((-1, 1))
@@ -204,7 +216,7 @@ def test_long_job_takes_little_time_and_memory(tmp_path: Path) -> None:
     file, out = tmp_path / "long.nc", tmp_path / "long.html"
     file.write_bytes(b"\n".join(lettering() * 12) + b"\n")  # 21,000 lines
     # ru_maxrss of a process includes the memory of its parent before the start.
-    code = (
+    code = (  # VmHWM: the most memory used, in kB
         "import re, sys; from ugrbl.cli.app import app;"
         "app(sys.argv[1:], standalone_mode=False);"
         "print(re.search(r'VmHWM:\\s+(\\d+)', open('/proc/self/status').read())[1])"
@@ -239,6 +251,7 @@ def texts_drawn(figure: Any, monkeypatch: pytest.MonkeyPatch) -> list[tuple[str,
 def test_texts_of_a_picture_are_complete_and_do_not_overlap(
     x: float, y: float, z: float, count: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """A picture of paths of any shape, x by y by z mm; count: jobs compared in it."""
     corners = ((0, 0, -z), (x, 0, -z), (x, y, 0), (0, y, 0), (0, 0, 0))
     lines = [b"G1F5000X%.3fY%.3fZ%.3f" % corner for corner in corners]
     job = run_job("as it is", lines, [*_FAST, "$130=2000"])
@@ -248,7 +261,9 @@ def test_texts_of_a_picture_are_complete_and_do_not_overlap(
     for text, box in texts:
         assert box.x0 >= 0 and box.y0 >= 0, text
         assert box.x1 <= figure.bbox.x1 and box.y1 <= figure.bbox.y1, text
-    on_others = [(a, b) for (a, one), (b, other) in combinations(texts, 2) if one.overlaps(other)]
+    on_others = [
+        (a, b) for (a, box_a), (b, box_b) in combinations(texts, 2) if box_a.overlaps(box_b)
+    ]
     assert not on_others
 
 
@@ -264,12 +279,13 @@ def test_times_are_written_in_common_units(seconds: float, words: str) -> None:
 
 
 def test_what_if_reports_the_time_saved(program: Path) -> None:
+    """--set: the program is run twice, with and without these settings."""
     out = program.with_name("out.svg")
     done = ugrbl(program, "-o", out, "--set", "120=200", "--set", "$121=200")
     assert done.exit_code == 0, done.output
-    words = " ".join(done.output.split())
-    assert "Acceleration X 200 mm/sec^2, Acceleration Y 200 mm/sec^2:" in words
-    assert re.search(r"[\d.]+ s instead of [\d.]+ s: [\d.]+ s saved \(\d+ %\)", words)
+    output = " ".join(done.output.split())
+    assert "Acceleration X 200 mm/sec^2, Acceleration Y 200 mm/sec^2:" in output
+    assert re.search(r"[\d.]+ s instead of [\d.]+ s: [\d.]+ s saved \(\d+ %\)", output)
 
 
 def test_slower_machine_is_reported(program: Path) -> None:
@@ -300,6 +316,7 @@ def test_figures_are_written_as_json(program: Path) -> None:
     done = ugrbl(program, "-o", program.with_name("out.png"), "--set", "110=1000", "--json", "-")
     found = json.loads(done.stdout)
     assert [job["lines"] for job in found["jobs"]] == [8, 8]
+    # 500 mm/min, 250 steps/mm
     assert found["jobs"][0]["fastest_step_hz"]["X"] == pytest.approx(500 / 60 * 250, rel=0.01)
     assert "instead of" in found["verdict"]
 
@@ -313,7 +330,7 @@ def test_pulled_settings_file_describes_the_machine(program: Path) -> None:
     assert done.exit_code == 0, done.output
     job = json.loads(json_file.read_text())["jobs"][0]
     assert job["name"] == "my.settings"
-    assert job["fastest_step_hz"]["X"] == pytest.approx(2500, rel=0.01)
+    assert job["fastest_step_hz"]["X"] == pytest.approx(2500, rel=0.01)  # 600 mm/min, 250 steps/mm
 
 
 @pytest.mark.parametrize(
@@ -333,6 +350,8 @@ def test_pulled_settings_file_describes_the_machine(program: Path) -> None:
 def test_impossible_drawing_is_refused_with_the_reason(
     program: Path, words: list[str], why: str
 ) -> None:
+    """why: part of the message, compared without spaces. FOLDER and FILE stand for existing
+    ones."""
     folder = program.with_name("folder.png")
     folder.mkdir()
     words = [w.replace("FOLDER", str(folder)).replace("FILE", str(program)) for w in words]
@@ -432,43 +451,46 @@ const until = setInterval(async () => {
 
 
 def browse(page: Path) -> Any:
-    """Return the probe's results in a browser; skip if there is none."""
+    """Open the page with the script _PROBE in a browser without a window; return what it found, or
+    skip if there is no browser."""
     browser = next(filter(None, map(shutil.which, _BROWSERS)), None)
     if browser is None:
         pytest.skip(f"no browser here: none of {', '.join(_BROWSERS)}")
     page.write_text(page.read_text() + _PROBE)
-    words = [browser, "--headless", "--no-sandbox", "--enable-unsafe-swiftshader"]
-    words += ["--virtual-time-budget=60000", f"--user-data-dir={page.parent / 'profile'}"]
-    shown = subprocess.run(
-        [*words, "--dump-dom", page.as_uri()],
+    command = [browser, "--headless", "--no-sandbox", "--enable-unsafe-swiftshader"]
+    command += ["--virtual-time-budget=60000", f"--user-data-dir={page.parent / 'profile'}"]
+    process = subprocess.run(
+        [*command, "--dump-dom", page.as_uri()],
         capture_output=True,
         text=True,
         timeout=120,
         check=False,
     )
-    found = re.search(r'data-seen="([^"]*)"', shown.stdout)
-    assert found, shown.stderr[-2000:] + shown.stdout[-500:]
+    found = re.search(r'data-seen="([^"]*)"', process.stdout)
+    assert found, process.stderr[-2000:] + process.stdout[-500:]
     return json.loads(html.unescape(found[1]))
 
 
 @needs_plotly
 def test_page_draws_itself_in_a_browser_without_a_network(program: Path) -> None:
+    """The page compares two machines. What is checked: the curves, a button, no requests, the
+    texts, the slider."""
     page = program.with_name("page.html")
     done = ugrbl(program, "-o", page, "--set", "120=200")
     assert done.exit_code == 0, done.output
     assert page.stat().st_size < 3_000_000
-    seen = browse(page)
-    assert seen["traces"][0][:2] == ["cuts", "rapids"] and len(seen["traces"][2]) == 16
-    assert "rapids" in seen["traces"][1]
-    assert seen["points"] > 30 and seen["canvases"] > 0
-    assert seen["lines"] == 16
-    assert seen["up"] == 1  # the button turned it
-    assert not [name for name in seen["requests"] if not name.startswith(("file:", "blob:"))]
-    assert "saved" in seen["words"]
-    assert "X0.000 to 10.000 mm: 10.000 of 200 ($130)" in seen["tables"]
-    assert "at most 0.01 mm off the path" in seen["tables"]
+    results = browse(page)
+    assert results["traces"][0][:2] == ["cuts", "rapids"] and len(results["traces"][2]) == 16
+    assert "rapids" in results["traces"][1]
+    assert results["points"] > 30 and results["canvases"] > 0
+    assert results["lines"] == 16
+    assert results["up"] == 1  # the button turned it
+    assert not [name for name in results["requests"] if not name.startswith(("file:", "blob:"))]
+    assert "saved" in results["words"]
+    assert "X0.000 to 10.000 mm: 10.000 of 200 ($130)" in results["tables"]
+    assert "at most 0.01 mm off the path" in results["tables"]
     # The slider ends where the program ends, and a point under the cursor is shown with its line.
-    assert "X 5.000   Y 5.000   Z 2.000" in seen["last"]
-    assert "line 8: G2 X5 Y5 R5" in seen["hovered"]
-    assert seen["spot"] == pytest.approx([5, 5], abs=0.2)
-    assert seen["cursor"] == pytest.approx(seen["moment"]) and seen["moment"] > 1
+    assert "X 5.000   Y 5.000   Z 2.000" in results["last"]
+    assert "line 8: G2 X5 Y5 R5" in results["hovered"]
+    assert results["spot"] == pytest.approx([5, 5], abs=0.2)
+    assert results["cursor"] == pytest.approx(results["moment"]) and results["moment"] > 1

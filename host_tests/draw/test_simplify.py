@@ -15,17 +15,20 @@ _path = st.lists(st.tuples(_number, _number, _number), min_size=1, max_size=60)
 
 def away(points: "np.ndarray", rows: "np.ndarray") -> float:
     """Return the largest distance of the path from its drawing, checked at every point."""
-    worst = 0.0
+    farthest = 0.0
     for begin, end in pairwise(rows):
-        a, way = points[begin], points[end] - points[begin]
+        a, chord = points[begin], points[end] - points[begin]
         for point in points[begin:end]:
-            share = np.dot(point - a, way) / (np.dot(way, way) or 1.0)
-            worst = max(worst, float(np.linalg.norm(point - a - min(max(share, 0), 1) * way)))
-    return worst
+            share = np.dot(point - a, chord) / (np.dot(chord, chord) or 1.0)
+            farthest = max(
+                farthest, float(np.linalg.norm(point - a - min(max(share, 0), 1) * chord))
+            )
+    return farthest
 
 
 @given(_path, st.sampled_from([0.01, 1.0, 30.0]), st.sets(st.integers(0, 59)))
 def test_path_is_within_the_tolerance_everywhere(path, tolerance, keep) -> None:
+    """keep: rows that must stay, such as those where another line of the program begins."""
     points = np.array(path, float)
     kept = sorted(row for row in keep if row < len(path))
     rows = simplify(points, tolerance, kept)
@@ -48,13 +51,14 @@ def test_circle_has_the_points_that_its_tolerance_needs() -> None:
     angle = np.linspace(0, 2 * math.pi, 1001)
     points = np.column_stack([10 * np.cos(angle), 10 * np.sin(angle)])
     rows = simplify(points, 0.01)
-    needed = math.pi / math.acos(1 - 0.01 / 10)
+    needed = math.pi / math.acos(1 - 0.01 / 10)  # chords that are 0.01 off a circle of radius 10
     assert needed <= len(rows) <= 2.1 * needed
     assert away(points, rows) <= 0.01
 
 
 @pytest.mark.parametrize("most", [50, 300])
 def test_tolerance_is_widened_until_it_fits_and_reported(most: int) -> None:
+    """A spiral; most: points allowed. Row 10000 must stay."""
     angle = np.linspace(0, 60, 20_000)
     points = np.column_stack([angle * np.cos(angle), angle * np.sin(angle)])
     rows, tolerance = fitted(points, 0.001, [0, 10_000], most)
@@ -69,9 +73,9 @@ def test_two_million_points_take_seconds() -> None:
 
     angle = np.linspace(0, 20_000, 2_000_000)
     points = np.column_stack([angle * np.cos(angle), angle * np.sin(angle), angle]) / 100
-    begun = time.process_time()
+    begin_s = time.process_time()
     assert 10_000 < len(simplify(points, 0.01)) < 1_000_000
-    assert time.process_time() - begun < 30
+    assert time.process_time() - begin_s < 30
 
 
 @pytest.mark.parametrize("count", [0, 1, 2])

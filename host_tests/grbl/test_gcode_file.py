@@ -37,14 +37,15 @@ def test_a_latin_1_comment_is_sanitized() -> None:
 def test_comments_never_contain_realtime_characters_after_sanitizing(line: bytes) -> None:
     line = line.replace(b"\n", b"").replace(b"\r", b"")
     found = problems([line])
-    if not found or found[0].in_comment:
+    if not found or found[0].in_comment:  # a problem outside comments is refused, not sanitized
         assert not has_realtime(sanitize(line))
 
 
 def test_problems_name_the_line_and_the_character() -> None:
     lines = ["G21", "(Ä)", "G1 X10°", "M0 !", "G1 (x?) X1", "\x18"]
     found = problems([line.encode("utf-8") for line in lines])
-    assert [(one.line, one.in_comment) for one in found] == [
+    # line, and whether it is in a comment
+    assert [(problem.line, problem.in_comment) for problem in found] == [
         (2, True),
         (3, False),
         (4, False),

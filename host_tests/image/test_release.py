@@ -27,38 +27,47 @@ _WIZARD = (paths.TOOLS / "web" / "page" / "board_wizard.js").read_text(encoding=
 
 
 def test_a_dry_run_makes_all_files_without_network(tmp_path: Path) -> None:
+    """A version of "" is a dry run. SHA256SUMS has every file, also an image that was there
+    before."""
     image = tmp_path / "ugrbl-dry-RPI_PICO.uf2"
     image.write_bytes(b"image")
     release.make("", tmp_path, ["rpi_pico", "esp32_devkit"])
     assert (tmp_path / "ugrbl.html").read_text(encoding="utf-8") == page_files.page()
-    sums = dict(
+    checksums = dict(
         reversed(row.split("  ")) for row in (tmp_path / "SHA256SUMS").read_text().splitlines()
     )
     zips = {f"ugrbl-dry-{name}.zip" for name in ("rpi_pico", "esp32_devkit")}
     zips |= {f"ugrbl_motion-dry-{arch}.zip" for arch in ("armv6m", "armv7emsp", "xtensawin")}
-    assert set(sums) == {image.name, "ugrbl.html", *zips}
-    for name, checksum in sums.items():
+    assert set(checksums) == {image.name, "ugrbl.html", *zips}
+    for name, checksum in checksums.items():
         assert hashlib.sha256((tmp_path / name).read_bytes()).hexdigest() == checksum
     assert (tmp_path / "notes" / "notes.md").read_text().startswith("### Added")
 
 
 def test_a_board_zip_is_installable_by_mip_and_reproducible() -> None:
+    """mip, MicroPython's installer, copies the files listed in package.json."""
     data = release.board_zip("rpi_pico")
     assert data == release.board_zip("rpi_pico")
-    made = build.for_board(board_file("rpi_pico"))
-    with zipfile.ZipFile(io.BytesIO(data)) as packed:
-        listed = json.loads(packed.read("rpi_pico/package.json"))["urls"]
-        assert {path for path, _ in listed} == set(made.files)
-        assert {path: packed.read(f"rpi_pico/{path}") for path in made.files} == made.files
+    compiled = build.for_board(board_file("rpi_pico"))
+    with zipfile.ZipFile(io.BytesIO(data)) as zip_file:
+        listed = json.loads(zip_file.read("rpi_pico/package.json"))["urls"]
+        assert {path for path, _ in listed} == set(compiled.files)
+        assert {
+            path: zip_file.read(f"rpi_pico/{path}") for path in compiled.files
+        } == compiled.files
 
 
 def test_the_motion_package_is_installable_by_mip_and_has_stubs() -> None:
-    made = motion_package.compile_for("armv6m")
-    with zipfile.ZipFile(io.BytesIO(release.motion_zip("armv6m"))) as packed:
-        listed = json.loads(packed.read("ugrbl_motion/package.json"))["urls"]
-        assert {path for path, _ in listed} == set(made.files)
-        assert {path: packed.read(f"ugrbl_motion/{path}") for path in made.files} == made.files
-        assert "ugrbl_motion/typings/ugrbl_motion/group.pyi" in packed.namelist()
+    """mip, MicroPython's installer, copies the files listed in package.json; editors read the
+    stubs."""
+    compiled = motion_package.compile_for("armv6m")
+    with zipfile.ZipFile(io.BytesIO(release.motion_zip("armv6m"))) as zip_file:
+        listed = json.loads(zip_file.read("ugrbl_motion/package.json"))["urls"]
+        assert {path for path, _ in listed} == set(compiled.files)
+        assert {
+            path: zip_file.read(f"ugrbl_motion/{path}") for path in compiled.files
+        } == compiled.files
+        assert "ugrbl_motion/typings/ugrbl_motion/group.pyi" in zip_file.namelist()
 
 
 def test_a_tag_must_match_the_version_and_have_notes() -> None:
@@ -81,8 +90,10 @@ def test_nothing_is_written_if_the_version_is_wrong(tmp_path: Path) -> None:
 
 
 def test_the_page_and_the_workflow_use_the_same_image_names() -> None:
-    made = set(re.findall(r"board: (RPI_\w+)", _WORKFLOW))
-    assert set(re.findall(r'"(RPI_\w+)"', _WIZARD)) == made
+    """The workflow builds the images of a release; the wizard of the page names the one to
+    download."""
+    in_workflow = set(re.findall(r"board: (RPI_\w+)", _WORKFLOW))
+    assert set(re.findall(r'"(RPI_\w+)"', _WIZARD)) == in_workflow
     assert "ugrbl-$GITHUB_REF_NAME-${{ matrix.board }}.uf2" in _WORKFLOW
     assert "ugrbl-…-${IMAGES[name]}.uf2" in _WIZARD
     for board in re.findall(r"file: (\w+)", _WORKFLOW):
@@ -90,6 +101,7 @@ def test_the_page_and_the_workflow_use_the_same_image_names() -> None:
 
 
 def test_each_esp32_image_has_a_board_file_of_its_chip_and_is_documented() -> None:
+    """rows: the images that the workflow builds, with board and variant of MicroPython."""
     rows = re.findall(
         r"\{board: (ESP32\w+),(?: variant: (\w+),)? image: (\S+), file: (\w+)\}", _WORKFLOW
     )

@@ -28,16 +28,20 @@ def garbage(size: int, seed: int = 1) -> bytearray:
 
 
 def program(name: str = "MicroPython", version: str = "v1.28.0", devices: int = 1) -> Flash:
-    """Return a MicroPython image with only its binary info."""
+    """Return a MicroPython image that has only its binary info: name, version, block devices (file
+    systems). The layout is that of pico-sdk's binary_info."""
     texts = {0x02031C86: name, 0x11A9BC3A: version}
-    at, data, entries = BASE + 0x3000, b"", []
+    data_at, data, entries = BASE + 0x3000, b"", []
     for number, text in texts.items():
-        entries.append(at + len(data))
-        data += struct.pack("<2H2I", 6, 0x5052, number, at + len(data) + 12)
+        entries.append(data_at + len(data))
+        # type 6: an id and a string; 0x5052: tag RP
+        data += struct.pack("<2H2I", 6, 0x5052, number, data_at + len(data) + 12)
         data += text.encode().ljust(32, b"\0")
     for _ in range(devices):
-        entries.append(at + len(data))
+        entries.append(data_at + len(data))
+        # type 7: a block device; 0x504D: tag MP
         data += struct.pack("<2H4IH2x", 7, 0x504D, 0, _START, _SIZE, 0, 0)
+    # the header: markers around start, end and mapping of the entries
     head = b"\0" * 0x110 + struct.pack(
         "<5I", 0x7188EBF2, BASE + 0x2000, BASE + 0x2000 + 4 * len(entries), 0, 0xE71AA390
     )
@@ -56,6 +60,7 @@ def program(name: str = "MicroPython", version: str = "v1.28.0", devices: int = 
 def test_the_rom_writes_the_files_pages_and_touches_no_other_sector(
     pages: "dict[int, bytes]",
 ) -> None:
+    """Pages of a touched sector that the file lacks are erased (0xFF)."""
     flash = Flash(RP2040, {BASE + PAGE * n: page for n, page in pages.items()})
     before = garbage(_MIB // 4)
     chip = bytearray(before)
@@ -63,14 +68,15 @@ def test_the_rom_writes_the_files_pages_and_touches_no_other_sector(
     for sector in range(0, len(chip), SECTOR):
         numbers = range(sector // PAGE, (sector + SECTOR) // PAGE)
         wanted = b"".join(pages.get(number, b"\xff" * PAGE) for number in numbers)
-        touched = any(number in pages for number in numbers)
+        is_touched = any(number in pages for number in numbers)
         assert chip[sector : sector + SECTOR] == (
-            wanted if touched else before[sector : sector + SECTOR]
+            wanted if is_touched else before[sector : sector + SECTOR]
         )
 
 
 def test_a_file_appended_to_another_is_corrupted() -> None:
-    """Why the model exists: 20 pages, then those of a sector elsewhere."""
+    """Why uf2.write() fills sectors: 20 pages end within a sector, the next ones are elsewhere,
+    and the ROM corrupts some. uf2_model shows it."""
     pages = {BASE + PAGE * n: bytes([n]) * PAGE for n in (*range(20), *range(160, 176))}
     data = b"".join(
         struct.pack("<8I", 0, 0, 0, address, PAGE, number, len(pages), RP2040)
@@ -83,11 +89,13 @@ def test_a_file_appended_to_another_is_corrupted() -> None:
 
 
 def test_a_written_file_is_read_back_even_after_blocks_of_others() -> None:
+    """A block of another family at the beginning of a file is kept, and written first."""
     first = uf2.write(Flash(RP2350, {0x10FFFF00: b"\x11" * PAGE}))[:512]
     foreign = first[:28] + (0xE48BFF57).to_bytes(4, "little") + first[32:]
     flash = uf2.read(foreign + uf2.write(program()))
     assert flash.others == [foreign] and flash.family == RP2040
     assert uf2.write(flash)[:512] == foreign
+    # the marker of the header
     assert flash.read(BASE + 0x110, 4) == (0x7188EBF2).to_bytes(4, "little")
     assert uf2.read(uf2.write(flash)) == flash
 
@@ -145,13 +153,13 @@ def read_back(image: bytes) -> "dict[str, bytes]":
     disk = littlefs.LittleFS(
         context=context, block_size=SECTOR, block_count=len(image) // SECTOR, mount=True
     )
-    found = {}
+    files = {}
     for folder, _, names in disk.walk("/"):
         for name in names:
             path = f"{folder.rstrip('/')}/{name}"
             with disk.open(path, "rb") as file:
-                found[path[1:]] = file.read()
-    return found
+                files[path[1:]] = file.read()
+    return files
 
 
 def used_chip(size: int, seed: int) -> bytearray:
@@ -185,12 +193,13 @@ def dragged_before(files: "Mapping[str, bytes]", size: int, random: Random) -> b
 
 def overlay(chip: bytearray, files: "Mapping[str, bytes]") -> None:
     """Write the generated file system over the chip, as a drag does."""
-    for place, sector in file_system.make(files, len(chip)).items():
-        chip[place : place + SECTOR] = sector
+    for offset, sector in file_system.make(files, len(chip)).items():
+        chip[offset : offset + SECTOR] = sector
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_an_older_file_system_is_replaced_completely(seed: int) -> None:
+    """Over random bytes, a used file system, and one of an earlier drag."""
     random = Random(seed)
     files = {f"pack{n % 5}/module{n}.mpy": random.randbytes(200 * n) for n in range(25)}
     files["main.py"] = b"import main"
@@ -211,8 +220,9 @@ def test_root_folder_is_compacted(count: int) -> None:
     files["main.py"] = b"import main"
     chip = bytearray(_SIZE)
     overlay(chip, files)
+    # the two blocks of the root folder: the one with the higher revision counts
     newer = max((chip[at : at + SECTOR] for at in (0, SECTOR)), key=lambda block: block[:4])
-    assert len(newer.rstrip(b"\xff")) < 300 + 64 * count
+    assert len(newer.rstrip(b"\xff")) < 300 + 64 * count  # bytes up to the erased rest
     assert read_back(bytes(chip)) == files
 
 
@@ -225,31 +235,34 @@ def test_a_file_that_does_not_fit_is_named() -> None:
 
 
 def made(**files: bytes) -> Build:
+    """Return a small build, with these files."""
     return Build("armv6m", {"main.py": b"main", "motion/__init__.mpy": b"M\6", **files}, "pio")
 
 
 def after_a_drag(data: bytes) -> "tuple[bytes, Mapping[str, bytes]]":
-    """Return the flash and the files in it after a drag."""
+    """Return the flash and the files in it after the file was dragged to a used board."""
     chip = used_chip(2 * _MIB, 3)
     uf2_model.load(chip, data)
-    start = _START - BASE
-    return bytes(chip), read_back(bytes(chip[start : start + _SIZE]))
+    file_system_at = _START - BASE
+    return bytes(chip), read_back(bytes(chip[file_system_at : file_system_at + _SIZE]))
 
 
 def test_a_drag_leaves_micropython_and_the_files_of_a_deployment(tmp_path: Path) -> None:
     settings = tmp_path / "my.settings"
     settings.write_text("; mine\n$110=4321\n$32=1\n")
     flash = program()
-    theirs = contents.MicroPython(tmp_path / "theirs.uf2", flash, binary_info.about(flash))
-    contents.check_fit(theirs, "armv6m", "pio")
-    kept = contents.settings_files("rpi_pico", settings)
-    files = contents.files(made(), {"custom.py": b"# mine", **kept})
-    chip, found = after_a_drag(contents.join(theirs, files))
+    micropython_image = contents.MicroPython(
+        tmp_path / "theirs.uf2", flash, binary_info.about(flash)
+    )
+    contents.check_fit(micropython_image, "armv6m", "pio")
+    settings_files = contents.settings_files("rpi_pico", settings)
+    files = contents.files(made(), {"custom.py": b"# mine", **settings_files})
+    chip, files_on_board = after_a_drag(contents.join(micropython_image, files))
     assert all(chip[at - BASE : at - BASE + PAGE] == page for at, page in flash.pages.items())
-    assert found == files and found["custom.py"] == b"# mine"
-    assert found["deployed.sha256"].decode().splitlines()[0].endswith("  main.py")
-    (tmp_path / "settings.txt").write_bytes(found["saved/settings.txt"])
-    lines = FlashStore(f"{tmp_path}/").load("settings")
+    assert files_on_board == files and files_on_board["custom.py"] == b"# mine"
+    assert files_on_board["deployed.sha256"].decode().splitlines()[0].endswith("  main.py")
+    (tmp_path / "settings.txt").write_bytes(files_on_board["saved/settings.txt"])
+    lines = FlashStore(f"{tmp_path}/").load("settings")  # as the firmware reads them
     assert lines and {"$110=4321", "$32=1", "$0=10"} <= set(lines)
 
 
@@ -265,9 +278,9 @@ def test_a_drag_leaves_micropython_and_the_files_of_a_deployment(tmp_path: Path)
 def test_a_micropython_for_another_board_is_reported(
     flash: Flash, arch: str, engine: str, said: str
 ) -> None:
-    theirs = contents.MicroPython(Path("theirs.uf2"), flash, binary_info.about(flash))
+    micropython_image = contents.MicroPython(Path("theirs.uf2"), flash, binary_info.about(flash))
     with pytest.raises(Uf2Error, match=said):
-        contents.check_fit(theirs, arch, engine)
+        contents.check_fit(micropython_image, arch, engine)
 
 
 # The command
@@ -290,8 +303,8 @@ def test_the_command_writes_the_file_and_says_where_to_drag_it(
     assert done.exit_code == 0, done.output
     assert "drag the file onto RPI-RP2" in done.output and "v1.28.0, for RP2040" in done.output
     assert "note: $111=0 means a highest rate of 0 for Y" in done.output
-    _, found = after_a_drag(out.read_bytes())
-    assert {"main.py", "board.py", "deployed.sha256", "pio/engine.mpy"} <= found.keys()
+    _, files_on_board = after_a_drag(out.read_bytes())
+    assert {"main.py", "board.py", "deployed.sha256", "pio/engine.mpy"} <= files_on_board.keys()
 
 
 @pytest.mark.parametrize(
@@ -315,6 +328,7 @@ def test_the_command_writes_the_file_and_says_where_to_drag_it(
 def test_an_impossible_request_is_refused_in_one_sentence_and_writes_no_file(
     words: str, said: str, micropython: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """said: part of the message. half.uf2 has only the first of its blocks."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "bad.settings").write_text("$0=1\n")
     (tmp_path / "more.settings").write_text("$110=500\n$999=1\n")

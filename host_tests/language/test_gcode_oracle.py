@@ -84,7 +84,7 @@ def everything(machine: Machine) -> "dict[str, Any]":
     """Return all state that a refused line must not change."""
     controller: Any = machine.rig.controller
     modes, coords, planner = controller.modes, controller.coords, controller.planner
-    found: dict[str, Any] = {
+    state: dict[str, Any] = {
         "modes": list(modes.modal),
         "rates": list(modes.rates),
         "tool": modes.tool,
@@ -98,15 +98,15 @@ def everything(machine: Machine) -> "dict[str, Any]":
         "state": controller.state.run,
         "pins": {n: v for n, v in vars(machine.rig.port).items() if not n.startswith("_")},
     }
-    return found
+    return state
 
 
 def check_equal(machine: Machine, oracle: Oracle) -> None:
     """Check that the firmware and the oracle are in the same state."""
     controller: Any = machine.rig.controller
     modes, coords = controller.modes, controller.coords
-    told = controller.commands.modes()
-    assert told[: told.index(" F")] == oracle.modes()
+    modes_text = controller.commands.modes()
+    assert modes_text[: modes_text.index(" F")] == oracle.modes()
     assert list(modes.rates)[:2] == [oracle.feed, oracle.speed]
     assert list(modes.position) == list(oracle.position.values())
     numbers = (54, 55, 56, 57, 58, 59, 28, 30)
@@ -118,10 +118,12 @@ def check_equal(machine: Machine, oracle: Oracle) -> None:
 
 
 def compare(machine: Machine, oracle: Oracle, program: "list[str]", first: str) -> None:
-    """Play the program; check that every answer and the state after it match the oracle's."""
+    """Play the program after the line `first`; check that every answer and the state after it
+    match the oracle's."""
     before: dict[str, Any] = {}
 
     def answered(line: str, replies: "list[str]") -> None:
+        """Check the answer to a line, and that a refused line has changed nothing."""
         if line == first:
             assert replies[-1] == "ok"
         else:
@@ -144,6 +146,7 @@ def compare(machine: Machine, oracle: Oracle, program: "list[str]", first: str) 
 @example(["G20F10", "G93G1X1F2", "G94G1X2", "G94F3", "X3"])
 @example(["G43.1Z1", "G0Z0", "G92Z0", "G10L20P0Z0", "G49", "Z0"])
 def test_random_lines_get_the_error_of_the_rules(program: "list[str]") -> None:
+    """In check mode, so that nothing moves."""
     compare(Machine(), Oracle(), program, "$C")
 
 
@@ -151,6 +154,7 @@ def test_random_lines_get_the_error_of_the_rules(program: "list[str]") -> None:
 @given(st.lists(st.one_of(jogs, jogs, st.sampled_from(["G20", "G91", "G92X1"])), max_size=8))
 @example(["$J=", "$J=X1", "$J=G1X1F100", "$J=G53X1F1000", "$J=M3X1F100", "$J=X1F100S2"])
 def test_random_jogs_get_the_error_of_the_rules(program: "list[str]") -> None:
+    # fast, so that jogs end soon
     rates = {110 + i: 30_000.0 for i in range(3)} | {120 + i: 5000.0 for i in range(3)}
     compare(Machine(rates), Oracle(), program, "G21")
 
@@ -190,16 +194,18 @@ noise = st.one_of(
 
 
 def play(machine: Machine, data: bytes) -> bool:
-    """Send bytes whatever comes back; return whether the machine is idle at the end."""
+    """Send bytes, 100 at a time, whatever comes back; return whether the machine is idle at the
+    end."""
     rig = machine.rig
 
     def script() -> Any:
+        """Send 100 bytes at a time; wait up to 3 s after each for an idle machine."""
         yield from machine.start()
         for start in range(0, len(data), 100):
             rig.link.send(data[start : start + 100])
-            until = rig.ms(3000)
+            deadline = rig.ms(3000)
             yield rig.ms(40)
-            while not machine.idle() and rig.now < until:
+            while not machine.idle() and rig.now < deadline:
                 yield rig.ms(40)
         yield rig.ms(1500)  # after an alarm nothing is sent for half a second
         at_rest.append(machine.idle())
@@ -229,6 +235,7 @@ def test_random_bytes_are_answered_line_by_line(data: bytes) -> None:
     at_rest = play(machine, data)
     ends = sum(data.count(c) for c in (b"\n", b"\r"))
     assert answers(machine) <= ends + 3 * data.count(b"\x18")  # startup lines answer too
+    # without the welcome at the start
     resets = sum(line.startswith("Grbl ") for line in machine.received) - 1
     if at_rest and not resets:  # a reset discards the waiting lines
         assert answers(machine) == ends
@@ -258,7 +265,8 @@ def test_a_code_beyond_single_precision_is_answered(line: str) -> None:
     ],
 )
 def test_a_value_beyond_single_precision_is_answered(line: str, check_mode: bool) -> None:
+    """A huge value is an error or not: the firmware must survive it, and report afterwards."""
     machine = Machine()
-    more = "G1X1F99\nG91X1\nG2I1\n$#\n$G\n?"
-    play(machine, f"{'$C' * check_mode}\n{line}{_HUGE}\n{more}".encode())
+    lines_after = "G1X1F99\nG91X1\nG2I1\n$#\n$G\n?"
+    play(machine, f"{'$C' * check_mode}\n{line}{_HUGE}\n{lines_after}".encode())
     assert machine.received

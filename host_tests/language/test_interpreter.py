@@ -19,7 +19,7 @@ from language.interpreter import Interpreter
 
 
 class Paper:
-    """An interpreter whose machine only records its calls."""
+    """An interpreter whose machine only records its calls, as texts, in canon.asked."""
 
     def __init__(self) -> None:
         self.canon, self.voice, store = FakeCanon(), FakeVoice(), FakeStore()
@@ -49,8 +49,10 @@ class Paper:
         for line in lines:
             self.canon.asked.clear()
             text = bytearray(line.encode() + b"\0")
-            run = self.interpreter.jog if line.startswith("$J=") else self.interpreter.execute
-            run(text, len(line))
+            execute_line = (
+                self.interpreter.jog if line.startswith("$J=") else self.interpreter.execute
+            )
+            execute_line(text, len(line))
         return self.canon.asked
 
 
@@ -76,6 +78,7 @@ class Paper:
 def test_a_line_makes_these_calls_of_the_machine(
     lines: "tuple[str, ...]", asked: "list[str]"
 ) -> None:
+    """asked: the calls for the last line; feed in mm/min, positions in mm, 16 is M3."""
     assert Paper().does(*lines) == asked
 
 
@@ -87,6 +90,7 @@ def test_the_end_of_a_program_is_reported() -> None:
 
 @pytest.mark.parametrize("line", ["G1X1", "G2X1F10", "G1X1F10M3S1M99", "G38.2F10"])
 def test_a_refused_line_makes_no_calls(line: str) -> None:
+    """rates[0] is the feed: F is not taken over either."""
     paper = Paper()
     with pytest.raises(GrblError):
         paper.does(line)
@@ -96,7 +100,7 @@ def test_a_refused_line_makes_no_calls(line: str) -> None:
 
 def test_a_jog_beyond_the_travel_is_refused() -> None:
     paper = Paper()
-    paper.canon.too_far = 10
+    paper.canon.too_far = 10  # mm
     assert paper.does("$J=X10F10") == ["jog F10 10 0 0"]
     with pytest.raises(GrblError) as refused:
         paper.does("$J=X11F10")

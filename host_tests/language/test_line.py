@@ -20,7 +20,11 @@ from ugrbl.run.program import ProgramLink
 
 
 class Bench:
-    """A machine that gets lines and never moves: what it plans is inspected and discarded."""
+    """A machine that gets lines and never moves: what it plans is inspected and discarded.
+
+    short: kernels do the lines that they can; else the interpreter does all. most, least: $30,
+    $31.
+    """
 
     def __init__(
         self,
@@ -45,12 +49,13 @@ class Bench:
         self.modal, self.counts, self.memory = self.machine.interpreter.memory()
 
     def does(self, text: str, line: "bytearray | None" = None) -> int:
-        """Return whether the kernels have done a line."""
+        """Return 1 if the kernels have done the line, 0 if the interpreter must."""
         line = line or bytearray(text.encode() + b"\0")
         return ln.execute(line, len(text), self.modal, self.counts, self.memory)
 
     def tell(self, text: str) -> "tuple[Any, ...]":
-        """Run a line; return its whole effect."""
+        """Run a line; return its whole effect: error, modes, planned block, and what follows from
+        them."""
         gcode, planner = self.machine.interpreter, self.machine.planner
         gcode.line = line = bytearray(text.encode() + b"\0")
         fault = 0
@@ -63,9 +68,9 @@ class Bench:
             fault = refusal.code
         row = [] if planner.empty() else list(planner.row() or ())
         modes = self.machine.modes
-        found = (fault, list(modes.position), list(modes.rates), modes.tool, row)
+        effect = (fault, list(modes.position), list(modes.rates), modes.tool, row)
         speed = planner.speeds[planner.flow[layout.TAIL]] if row else 0
-        rest = (
+        more_effects = (
             self.machine.commands.modes(),
             list(planner.position),
             speed,
@@ -74,7 +79,7 @@ class Bench:
         )
         planner.clear()
         self.machine.state.enter(IDLE)
-        return found, rest
+        return effect, more_effects
 
 
 PLANES = ["G17", "G18", "G19"]
@@ -165,30 +170,32 @@ def test_plane_words_in_every_combination(plane: str) -> None:
     words = ["", *PLANES, "G91", "M8", "G4"]
     lines = [
         line
-        for one, other in product(words, words)
+        for word_1, word_2 in product(words, words)
         for move in ("", "X1", "X", "G2X1Y0Z0R9")  # done, refused, and an arc of that plane
-        for line in (f"{one}{other}{move}", "X1")
+        for line in (f"{word_1}{word_2}{move}", "X1")
     ]
     compare(["F300", "G1X1", "M8", plane, *lines])
     # A jog may have no plane word, not even the current plane's.
     compare([plane, *[f"$J={word}G91X1F50" for word in PLANES], *[f"$J=X1{plane}F50"], "X1"])
+    # without a laser, by kernels; [0][0]: the error
     assert Bench(False, True).tell(f"$J={plane}G91X1F50")[0][0] == INVALID_JOG_COMMAND
 
 
 @pytest.mark.parametrize("mist", [True, False])
 def test_coolant_words_in_every_combination(mist: bool) -> None:
+    """Pairs of lines, alone and with motion. mist: the board has M7; else it is an error."""
     words = ["M7", "M8", "M9", "M7M8", "M8M7", "M8M8", "M9M8"]
     lines = [
         line
-        for before, now in product(words, words)
-        for line in ("M9", before, "X1", now, f"{now}X2", f"X1{now}G18", "X2")
+        for before, after in product(words, words)
+        for line in ("M9", before, "X1", after, f"{after}X2", f"X1{after}G18", "X2")
     ]
     compare(["F300", "G1X1", *lines], mist=mist)
 
 
 def compare(lines: "list[str]", laser: bool = False, mist: bool = False) -> None:
-    """Check that both benches answer and plan the same."""
-    short, long = Bench(laser, True, mist=mist), Bench(laser, False, mist=mist)
+    """Check that kernels (short) and interpreter (long) answer and plan the same."""
+    short, long = Bench(laser, short=True, mist=mist), Bench(laser, short=False, mist=mist)
     for line in lines:
         assert short.tell(line) == long.tell(line), line
 
@@ -196,7 +203,8 @@ def compare(lines: "list[str]", laser: bool = False, mist: bool = False) -> None
 @pytest.mark.parametrize("override", [100, 50])
 @pytest.mark.parametrize("beam", ["M3", "M4"])
 def test_kernels_do_lines_with_a_changed_laser_power(beam: str, override: int) -> None:
-    bench = Bench(True, True)
+    """override: of the spindle, in percent. A new S in a motion line needs no interpreter."""
+    bench = Bench(laser=True, short=True)
     bench.machine.state.override_spindle(override)
     for text in (f"{beam}S100F300", "G1X1", "X2"):
         bench.tell(text)
@@ -217,36 +225,37 @@ speeds = st.decimals(0, 13000, places=3).map(lambda x: format(x, "f"))
     st.lists(st.one_of(speeds, st.just("0")), min_size=1, max_size=6),
 )
 def test_kernels_set_the_same_laser_power_as_the_spindle(
-    most: float, least: float, override: int, follows: bool, powers: "list[str]"
+    most: float, least: float, override: int, is_dynamic: bool, powers: "list[str]"
 ) -> None:
-    bench = Bench(True, True, most, least)
+    """The power in the planned block is that of Spindle.block_power(). is_dynamic: M4."""
+    bench = Bench(laser=True, short=True, most=most, least=least)
     machine, planner = bench.machine, bench.machine.planner
     machine.state.override_spindle(override)
-    for text in (f"{'M4' if follows else 'M3'}S1F300", "G1X1", "X2"):
+    for text in (f"{'M4' if is_dynamic else 'M3'}S1F300", "G1X1", "X2"):
         bench.tell(text)
     for i, power in enumerate(powers):
         assert bench.does(f"X{3 + i}S{power}")
-        row, speed = list(planner.row() or ()), machine.state.spindle[RPM]
+        row, speed_before = list(planner.row() or ()), machine.state.spindle[RPM]
         rpm = machine.modes.rates[modal.RPM]
         assert rpm == pytest.approx(float(power), rel=1e-6)
         assert planner.speeds[planner.flow[layout.TAIL]] == rpm
-        due = machine.spindle.block_power(row[layout.FLAGS], rpm)
-        assert row[layout.POWER] == due
-        assert machine.state.spindle[RPM] == speed
+        expected = machine.spindle.block_power(row[layout.FLAGS], rpm)
+        assert row[layout.POWER] == expected
+        assert machine.state.spindle[RPM] == speed_before  # set only when the block is executed
         planner.clear()
 
 
 def test_kernels_do_lines_that_need_no_wait() -> None:
-    bench = Bench(False, True)
+    bench = Bench(laser=False, short=True)
     for text in ("G1X1F500", "X2", "X3Y1N5", "X4F501", "G0X5", "G1X7F502", "T1", ""):
         assert bench.does(text), text
     for text in ("G90G21X9", "G90G94", "M5M9", "G91X1", "G20G90", "G21", "G18", "G19X7G91", "S9"):
         assert bench.does(text), text
-    assert bench.machine.modes.rates[modal.FEED] == 502
+    assert bench.machine.modes.rates[modal.FEED] == 502  # of F502, the last F
 
 
 def test_kernels_do_an_arc_of_a_single_chord() -> None:
-    bench = Bench(False, True)
+    bench = Bench(laser=False, short=True)
     bench.tell("G91F500")
     for text in ("G2X0.1R5", "X0.1R5N3", "G3X-0.2Y0.1R900", "G2X0.1I0.05J-5F501"):
         assert bench.does(text), text
@@ -255,7 +264,8 @@ def test_kernels_do_an_arc_of_a_single_chord() -> None:
 
 
 def test_kernels_do_any_arc_in_check_mode_without_soft_limits() -> None:
-    bench = Bench(False, True)
+    """Without soft limits no chord needs a check; with them the interpreter checks each."""
+    bench = Bench(laser=False, short=True)
     bench.machine.state.enter(CHECK)
     assert bench.does("G2X100R90F500") and bench.does("G3X100I50Z3")
     bench.machine.settings.soft_limits = 1
@@ -264,10 +274,12 @@ def test_kernels_do_any_arc_in_check_mode_without_soft_limits() -> None:
 
 
 def test_kernels_refuse_lines_that_wait_or_fail_and_change_nothing() -> None:
-    bench = Bench(False, True)
+    bench = Bench(laser=False, short=True)
     bench.tell("G1X1F500")
     before = list(bench.machine.modes.modal), list(bench.machine.modes.position)
-    left = "M3 G55 M8 M7 G4P1 G92X0 G28 M0 G2X2R5 X1X2 G18G19 G91G20X0Y1X2 S-1 Q1".split()
-    for text in left:
+    left_to_interpreter = (
+        "M3 G55 M8 M7 G4P1 G92X0 G28 M0 G2X2R5 X1X2 G18G19 G91G20X0Y1X2 S-1 Q1".split()
+    )
+    for text in left_to_interpreter:
         assert not bench.does(text), text
         assert (list(bench.machine.modes.modal), list(bench.machine.modes.position)) == before

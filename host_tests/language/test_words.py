@@ -36,6 +36,7 @@ pieces = st.one_of(
 @example("-.5")
 @example("-0")
 def test_a_number_is_rounded_digit_by_digit_like_grbl(text: str) -> None:
+    """bare() returns (offset of the end, value), or an end of -1 if there is no number."""
     expected = read_number(text)
     end, value = bare(bytearray(text.encode() + b"\0"), 0)
     if expected is None:
@@ -46,11 +47,12 @@ def test_a_number_is_rounded_digit_by_digit_like_grbl(text: str) -> None:
 
 @given(st.lists(pieces, max_size=12).map(lambda parts: "".join(parts)[:127]))
 def test_a_line_is_read_word_by_word_up_to_the_first_error(text: str) -> None:
+    """Words.read() sets letters, values, count and fault, an error number or 0."""
     line = Words(127)
     line.read(bytearray(text.encode() + b"\0"), 0, len(text))
-    found = [(chr(line.letters[i]), bits(line.values[i])) for i in range(line.count)]
+    words = [(chr(line.letters[i]), bits(line.values[i])) for i in range(line.count)]
     expected, fault = read_words(text)
-    assert found == [(letter, bits(value)) for letter, value in expected]
+    assert words == [(letter, bits(value)) for letter, value in expected]
     assert line.fault == fault
 
 
@@ -65,13 +67,14 @@ def test_random_bytes_are_read_without_raising(data: bytes) -> None:
 @pytest.mark.parametrize("start", [0, 2])
 def test_reading_begins_at_the_given_offset(start: int) -> None:
     line = Words(127)
-    text = b"$$X1Y2"[2 - start :]
+    text = b"$$X1Y2"[2 - start :]  # with `start` bytes before X
     line.read(bytearray(text + b"\0"), start, len(text))
     assert bytes(line.letters[: line.count]) == b"XY"
     assert list(line.values[:2]) == [1, 2]
 
 
 def test_nothing_is_read_after_the_end() -> None:
+    """The span of scan() is end << 8 | start: X1 is read, and Y2 is not."""
     values = array("f", [0.0] * 4)
     assert scan(bytearray(b"X1Y2\0"), 2 << 8, bytearray(b"\1\0\0\0"), values) == 1
 
@@ -90,7 +93,7 @@ places = st.one_of(normal, st.sampled_from([0.0, 1.0, -1.0, 0.1, -16777216.0, 2.
 def test_an_offset_is_added_in_single_precision(value: float, offset: float) -> None:
     a, b = array("f", [offset]), array("f", [value])
     expected = single(b[0] + a[0])
-    assume(expected == 0 or 2.0**-126 <= abs(expected))
+    assume(expected == 0 or 2.0**-126 <= abs(expected))  # no subnormal result: a board has none
     add_single(a, 0, b, 0)
     assert (b[0] == 0) if expected == 0 else bits(b[0]) == bits(expected)
 

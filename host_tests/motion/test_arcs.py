@@ -133,6 +133,7 @@ class Course:
 def test_chords_of_a_circle_end_on_it(
     radius: float, clockwise: bool, plane: "tuple[int, int, int]"
 ) -> None:
+    """A helix of one turn, about a centre away from 0."""
     way = Way(
         radius,
         begin=0.7,

@@ -166,6 +166,7 @@ def test_an_arc_that_leaves_the_part_is_reported(arc: str, words: str) -> None:
 
 
 def test_run_send_and_page_show_the_warning(tmp_path: Path) -> None:
+    """The output of `ugrbl run`, the check before sending, and the preview of the page."""
     program = "G21 G90\nG2 X0 Y-0.01 I10 F6000\n"
     (tmp_path / "part.nc").write_text(program)
     said = CliRunner().invoke(app, ["run", str(tmp_path / "part.nc"), "--check"]).output

@@ -89,6 +89,7 @@ def test_square_roots_are_exact(n: int) -> None:
 
 @given(floats, floats, floats)
 def test_a_product_of_three_is_truncated_and_saturates(x: float, y: float, z: float) -> None:
+    """product() returns an integer, at most HIGHEST."""
     exact = value(real(x)) * value(real(y)) * value(real(z))
     got = minifloat.product(real(x), real(y), real(z))
     if exact > HIGHEST * 1.001:

@@ -74,6 +74,7 @@ def test_axis_positions_are_computed_from_motors(moves: Sequence[int], place: "l
 def test_setting_one_axis_keeps_the_others(
     moves: Sequence[int], place: "list[int]", axis: int, steps: int
 ) -> None:
+    """set_axis() moves the motors as if this axis had been set to `steps`."""
     kinematics = Kinematics(3, moves)
     motors = motors_at(kinematics, place)
     kinematics.set_axis(motors, axis, steps)

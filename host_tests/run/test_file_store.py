@@ -85,6 +85,7 @@ def test_a_saved_file_can_be_pushed(path: Path) -> None:
 
 
 def test_comments_and_number_formats_of_a_file_are_kept(path: Path) -> None:
+    """Only the number that has changed is replaced; a new setting is appended."""
     path.write_text("; my mill\n  $0 = 10.0 (as the driver wants)\n$110=600 ; slow, $110=600\n")
     store = FileStore(path)
     store.save("settings", ["$0=10", "$110=700", "$111=500"])
@@ -122,6 +123,7 @@ def test_a_file_that_is_not_understood_is_refused_and_not_changed(
 
 
 def test_a_file_changed_by_another_program_is_not_overwritten(path: Path) -> None:
+    """The store compares the file with what it read or wrote last."""
     store = FileStore(path)
     store.save("settings", ["$0=10"])
     path.write_text("$0=20\n")

@@ -44,6 +44,7 @@ ENDS = [
 
 @pytest.mark.parametrize("data", ENDS, ids=range(len(ENDS)))
 def test_lines_split_on_demand_equal_lines_split_at_once(data: bytes) -> None:
+    """Lines behaves like a list: indexes from both ends, slices, slices of slices."""
     lines, wanted = Lines(data), split_lines(data)
     assert list(lines) == wanted and len(lines) == len(wanted)
     assert [lines[n] for n in range(-len(lines), len(lines))] == wanted + wanted

@@ -109,6 +109,7 @@ def squares(count: int) -> list[str]:
 
 
 def test_each_line_of_many_has_its_own_block() -> None:
+    """block_line: the line of each block of motion, in order."""
     lines_without_motion = {7: "M8", 8: "(a comment)", 10: "", 12: "$", 45: "G4 P0.1"}
     lines = [
         "G21 G91 F600",
@@ -295,6 +296,7 @@ def test_entry_after_a_changed_stored_position_is_refused(
 def test_entry_after_a_changed_setting_is_refused(
     here: machine_snapshot.MachineSnapshot,
 ) -> None:
+    """The program sets $30 before the entry: the machine must have that value already."""
     lines = [b"$30=500", b"G21 G90", b"G0 X1"]
     here.settings[30] = "1000"
     with pytest.raises(CannotEnter, match=r"line 1 sets \$30, which is 1000 now"):

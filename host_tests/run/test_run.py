@@ -60,6 +60,7 @@ def programs(only_good: bool) -> list[object]:
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", programs(only_good=False))
 def test_check_finds_the_same_errors_as_real_grbl(name: str) -> None:
+    """recorded: answers of real Grbl in check mode, from expected.json."""
     result, _ = run_program(read_lines(_PROGRAMS / name), check=True)
     recorded = _GRBL[name]
     assert [list(error) for error in result.errors] == recorded["errors"]

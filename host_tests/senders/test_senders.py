@@ -27,11 +27,8 @@ _TURNED = -45  # degrees, at the end
 
 
 def spiral(turning: bool) -> list[str]:
-    """Return some seconds of short moves, an arc and a dwell, in work coordinates, ending at X-5
-    Y-7
-    Z-1.
-
-    turning: A moves with them, and ends at A-45."""
+    """Return lines of some seconds: short moves, an arc and a dwell, in work coordinates, ending
+    at X-5 Y-7 Z-1. turning: A moves with them, and ends at A-45."""
     points = [
         (-0.4 * n * math.cos(n / 2) - 2, -0.4 * n * math.sin(n / 2) - 2) for n in range(1, 25)
     ]
@@ -63,6 +60,7 @@ SERVERS = {
 
 @pytest.fixture(params=["sim", "sim_rotary"])
 def board(request: pytest.FixtureRequest) -> str:
+    """Return the board of the simulator: with three axes, or with a rotary A."""
     return str(request.param)
 
 
@@ -90,22 +88,22 @@ def available(install: Any) -> Path:
 
 
 def live(bench: Bench, board: str, *command: object, moving: bool = False) -> Any:
-    """Run a sender through the day; return what it recorded.
-
-    moving: another sender has started motion before."""
+    """Run a sender through the day; return its record. command: of its driver; PLAN and RESULT
+    stand for the files that it reads and writes. moving: another sender has started motion before.
+    """
     folder = bench.port.parent
     plan, result = folder / "plan.json", folder / "result.json"
     program = spiral(turning=board == "sim_rotary")
-    given = {"program": program, "port": bench.url, "moving": moving}
-    plan.write_text(json.dumps({**PLAN, **given}))
+    run_values = {"program": program, "port": bench.url, "moving": moving}
+    plan.write_text(json.dumps({**PLAN, **run_values}))
     words = [str({"PLAN": plan, "RESULT": result}.get(str(word), word)) for word in command]
-    done = subprocess.run(
+    process = subprocess.run(
         words, capture_output=True, text=True, timeout=_PATIENCE_S, cwd=folder, check=False
     )
-    assert result.exists(), done.stdout[-2000:] + done.stderr[-4000:]
-    noted = json.loads(result.read_text())
-    assert noted.get("failed") is None, (noted, done.stderr[-2000:])
-    return noted
+    assert result.exists(), process.stdout[-2000:] + process.stderr[-4000:]
+    record = json.loads(result.read_text())
+    assert record.get("failed") is None, (record, process.stderr[-2000:])
+    return record
 
 
 def set_going(bench: Bench) -> None:
@@ -117,37 +115,40 @@ def set_going(bench: Bench) -> None:
             assert port.read_until(b"ok\r\n").endswith(b"ok\r\n")
 
 
-def judge(noted: Any, bench: Bench, board: str) -> None:
-    """Check what holds for every sender's day, by its own record and by the machine's."""
-    assert noted["unparsed"] == []
-    assert [text for text in noted["errors"] if "error" in text or "ALARM" in text] == []
-    assert float(noted["settings"]["110"]) == SETTINGS[110]
-    assert len(noted["settings"]) == (38 if board == "sim_rotary" else 34)
-    assert noted["homed"] == PLAN["homed"]
-    assert noted["zeroed"] == [0, 0, 0]
-    assert noted["held"] != PLAN["ended"]
-    assert noted["mpos"] == PLAN["ended"]
-    assert noted["wpos"] == [-5, -7, -1]
+def judge(record: Any, bench: Bench, board: str) -> None:
+    """Check what holds for every sender's day, by its own record and by the machine's: no unparsed
+    line, no error, the settings, the positions, a hold that was resumed."""
+    assert record["unparsed"] == []
+    assert [text for text in record["errors"] if "error" in text or "ALARM" in text] == []
+    assert float(record["settings"]["110"]) == SETTINGS[110]
+    assert len(record["settings"]) == (38 if board == "sim_rotary" else 34)  # four more for A
+    assert record["homed"] == PLAN["homed"]
+    assert record["zeroed"] == [0, 0, 0]
+    assert record["held"] != PLAN["ended"]
+    assert record["mpos"] == PLAN["ended"]
+    assert record["wpos"] == [-5, -7, -1]
     sent = bench.wire(">")
     assert sent.index(b"!") < sent.rindex(b"~")
     # Measured from the switch, machine position 0, in the motors' steps. Homing polls its switches
     # only
     # as often as the computer allows: a busy one pauses for some 20 ms.
-    late = 0.1 * SETTINGS[24] / 60 * STEPS_PER_MM
-    switch = [SWITCH_STEPS + mm * STEPS_PER_MM for mm in PLAN["ended"]]
-    place = bench.stop()
-    assert place[:3] == pytest.approx(switch, abs=late)
-    assert place[3:] == ([_TURNED * _STEPS_PER_DEGREE] if board == "sim_rotary" else [])
+    tolerance = 0.1 * SETTINGS[24] / 60 * STEPS_PER_MM
+    expected = [SWITCH_STEPS + mm * STEPS_PER_MM for mm in PLAN["ended"]]
+    steps = bench.stop()
+    assert steps[:3] == pytest.approx(expected, abs=tolerance)
+    assert steps[3:] == ([_TURNED * _STEPS_PER_DEGREE] if board == "sim_rotary" else [])
 
 
 def test_cncjs(bench: Bench, board: str) -> None:
     home = available(cncjs)
     http_port = free_port()
-    noted = live(bench, board, "node", _HERE / "drive_cncjs.js", home, "PLAN", "RESULT", http_port)
-    assert noted["controller"] == "Grbl"
-    assert max(noted["override"]) == 120
-    assert "Hold" in noted["states"]
-    judge(noted, bench, board)
+    record = live(
+        bench, board, "node", _HERE / "drive_cncjs.js", home, "PLAN", "RESULT", http_port
+    )
+    assert record["controller"] == "Grbl"
+    assert max(record["override"]) == 120  # percent
+    assert "Hold" in record["states"]
+    judge(record, bench, board)
 
 
 def test_bcnc(bench: Bench, board: str) -> None:
@@ -159,34 +160,37 @@ def test_bcnc_over_the_network(network: Bench) -> None:
 
 
 def a_day_with_bcnc(bench: Bench, board: str) -> None:
+    """Drive bCNC, whose window needs Tk, through the day and check it."""
     interpreter = available(python)
     has_tk = subprocess.run(
         [interpreter, "-c", "import tkinter"], check=False, capture_output=True
     )
     if has_tk.returncode:
         pytest.skip("bCNC needs Tk, and this Python has been built without it")
-    noted = live(bench, board, interpreter, _HERE / "drive_bcnc.py", "PLAN", "RESULT")
-    assert noted["controller"] == "GRBL1"
-    assert noted["version"] == "1.1h"
-    assert max(noted["override"]) == 120
-    judge(noted, bench, board)
+    record = live(bench, board, interpreter, _HERE / "drive_bcnc.py", "PLAN", "RESULT")
+    assert record["controller"] == "GRBL1"
+    assert record["version"] == "1.1h"
+    assert max(record["override"]) == 120
+    judge(record, bench, board)
 
 
 def test_grbl_streamer(bench: Bench, board: str) -> None:
+    """override: feeds in mm/min that it has sent; it writes 1500 for the program's 1200."""
     interpreter = available(python)
-    noted = live(bench, board, interpreter, _HERE / "drive_grbl_streamer.py", "PLAN", "RESULT")
-    assert noted["version"] == "1.1h"
-    assert 1500 in noted["override"]
-    judge(noted, bench, board)
+    record = live(bench, board, interpreter, _HERE / "drive_grbl_streamer.py", "PLAN", "RESULT")
+    assert record["version"] == "1.1h"
+    assert 1500 in record["override"]
+    judge(record, bench, board)
 
 
 @pytest.mark.parametrize("mode", ["line", "count"])
 def test_a_plain_streamer(bench: Bench, board: str, mode: str) -> None:
-    noted = live(bench, board, sys.executable, _HERE / "drive_plain.py", mode, "PLAN", "RESULT")
-    assert noted["version"] == "1.1h"
-    assert max(noted["override"]) == 120
-    assert "Hold:0" in noted["states"]
-    judge(noted, bench, board)
+    """mode: it waits for each answer, or counts the bytes that are unanswered."""
+    record = live(bench, board, sys.executable, _HERE / "drive_plain.py", mode, "PLAN", "RESULT")
+    assert record["version"] == "1.1h"
+    assert max(record["override"]) == 120
+    assert "Hold:0" in record["states"]
+    judge(record, bench, board)
 
 
 @pytest.mark.parametrize("mode", ["line", "count"])
@@ -220,15 +224,16 @@ def test_a_server_over_the_network(
 def a_day_with_a_server(
     bench: Bench, board: str, server: tuple[object, ...], moving: bool
 ) -> None:
+    """Run a server through the day and check it; moving: it meets a machine in motion."""
     if moving:
         set_going(bench)
-    noted = live(bench, board, *server, moving=moving)
-    assert noted.get("version", "1.1h") == "1.1h"
-    assert max(noted["override"]) == 120
+    record = live(bench, board, *server, moving=moving)
+    assert record.get("version", "1.1h") == "1.1h"
+    assert max(record["override"]) == 120
     if moving:
         resets = "lw_comm" in str(server[1])  # its default when it opens the port
-        assert ("Run" in noted["met"]) is not resets
-    judge(noted, bench, board)
+        assert ("Run" in record["met"]) is not resets
+    judge(record, bench, board)
 
 
 # A router with a rotary axis and jobs, for senders that know grblHAL.
@@ -255,14 +260,14 @@ def test_gsender_reads_axes_settings_and_programs_in_hal_dialect(tmp_path: Path)
     bench = Bench(tmp_path, "--board", str(file), settings=SETTINGS)
     try:
         command = "node", _HERE / "drive_gsender.js", folder, "PLAN", "RESULT", free_port()
-        noted = live(bench, "sim_rotary", *command)
-        assert noted["controller"] == "grblHAL"
-        assert noted["axes"] == ["X", "Y", "Z", "A"]
-        assert {"HOME", "SD"} <= set(noted["information"]["NEWOPT"])
-        assert set(noted["descriptions"]) == set(noted["settings"])
-        assert noted["alarms"]["1"]["description"].startswith("A limit switch was hit")
-        assert max(noted["override"]) == 120
-        judge(noted, bench, "sim_rotary")
-        assert b" A4.5 F1200\n" in bench.wire(">")
+        record = live(bench, "sim_rotary", *command)
+        assert record["controller"] == "grblHAL"
+        assert record["axes"] == ["X", "Y", "Z", "A"]
+        assert {"HOME", "SD"} <= set(record["information"]["NEWOPT"])
+        assert set(record["descriptions"]) == set(record["settings"])
+        assert record["alarms"]["1"]["description"].startswith("A limit switch was hit")
+        assert max(record["override"]) == 120
+        judge(record, bench, "sim_rotary")
+        assert b" A4.5 F1200\n" in bench.wire(">")  # a line of the program: A was not lost
     finally:
         bench.kill()

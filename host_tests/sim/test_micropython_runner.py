@@ -47,6 +47,7 @@ def test_an_endless_script_is_stopped():
 
 
 def test_a_locked_heap_catches_allocation():
+    """Tests of memory rely on it: with the heap locked, a new list raises MemoryError."""
     out = run_micropython(
         """
 import micropython

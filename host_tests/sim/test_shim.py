@@ -124,6 +124,8 @@ def count_up(n: int) -> int:
 
 
 def exact_or_raises(kernel, a, b, exact):
+    """Check that the kernel returns the exact result, or raises if that needs more than 32
+    bits."""
     if -(2**31) <= exact < 2**31:
         assert kernel(a, b) == exact
     else:
@@ -194,6 +196,8 @@ def test_uint_reads_a_word_as_unsigned():
     ],
 )
 def test_any_buffer_is_read_as_signed_words(memory):
+    """load32 has a ptr32 as its parameter, forward passes it on, load_in_body makes one of an
+    object."""
     for load in (load32, forward, load_in_body):
         assert (load(memory, 0), load(memory, 1)) == (7, -2)
 
@@ -211,7 +215,7 @@ def test_short_pointers_are_unsigned():
 def test_stores_change_the_array():
     memory = array("i", [1, 2])
     store32(memory, 1, -5)
-    assert accumulate(memory, 1, -5) == -10
+    assert accumulate(memory, 1, -5) == -10  # -5 - 5
     assert memory == array("i", [1, -10])
 
 
@@ -240,6 +244,7 @@ def test_a_pointer_to_no_buffer_raises():
 
 
 def test_a_pointer_to_a_register_reads_mem32_as_signed():
+    """An int as a pointer is an address of hardware: index 2 is 8 bytes further on."""
     store32(0x40014004, 2, -2)
     assert machine.mem32[0x4001400C] == 0xFFFFFFFE
     assert load32(0x4001400C, 0) == -2
@@ -254,10 +259,12 @@ def test_new_arrays_are_not_confused_with_old_ones():
 def test_name_docstring_and_control_flow_are_kept():
     assert count_up.__name__ == count_up.__qualname__ == "count_up"
     assert count_up.__doc__ == "Count."
+    # 0 + … + 46 = 1081 is the first sum above 1000 at an even i
     assert [count_up(n) for n in (0, 5, 100)] == [0, 10, 1081]
 
 
 def test_a_traceback_shows_the_line_of_the_kernel():
+    """The stand-in compiles kernels anew, with checks; tracebacks still show the source."""
     with pytest.raises(OverflowError) as caught:
         multiply(2**30, 4)
     frames = traceback.extract_tb(caught.tb)
@@ -328,6 +335,7 @@ def inner_function(a: int) -> int:
     ids=lambda function: function.__name__,
 )
 def test_constructs_unsupported_on_the_board_are_refused_at_decoration(function):
+    """The error names the function and its line in this file."""
     with pytest.raises(SyntaxError, match=function.__name__) as caught:
         viper(function)
     assert caught.value.filename == __file__
@@ -335,6 +343,7 @@ def test_constructs_unsupported_on_the_board_are_refused_at_decoration(function)
 
 
 def test_locals_of_an_outer_function_are_refused():
+    """Viper has no closures."""
     outer = 1
 
     def closure(a: int) -> int:
@@ -345,6 +354,8 @@ def test_locals_of_an_outer_function_are_refused():
 
 
 def test_large_literals_are_allowed_inside_int():
+    """Literals from 2**30 are objects on the board; int() makes machine words of them."""
+
     @viper
     def mask(a: int) -> int:
         return (a & int(0x7FFFFFFF)) | int(-0x80000000)
@@ -371,8 +382,8 @@ def test_methods_can_be_viper():
 def test_objects_can_be_unpacked():
     @viper
     def difference(pair: object) -> int:
-        one, other = pair
-        return int(one) - int(other)
+        first, second = pair
+        return int(first) - int(second)
 
     assert difference((7, 3)) == 4
 
@@ -384,6 +395,7 @@ def test_fast_mode_casts_pointers_and_checks_nothing(monkeypatch):
     def scaled(p: ptr32, factor: int) -> int:
         return p[1] * factor
 
+    # 2**32 - 3 is read as -3; the product exceeds 32 bits
     assert scaled(array("I", [0, 2**32 - 3]), 2**31) == -3 * 2**31
 
 
@@ -405,6 +417,8 @@ def at(p: ptr8, n: int) -> int:
 def test_the_cached_function_depends_on_its_current_constants(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """The stand-in caches compiled kernels in build/cache; a changed constant (AT) makes another
+    entry."""
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(micropython, "_ROOT", tmp_path)
     (tmp_path / "firmware").mkdir()
@@ -412,11 +426,11 @@ def test_the_cached_function_depends_on_its_current_constants(
     (tmp_path / "kept_numbers.py").write_text("AT = 1\n")
     function, numbers = import_module("kept_function"), import_module("kept_numbers")
     assert function.at(b"abc", 1) == ord("b") + 1
-    kept = [*(tmp_path / "build" / "cache").iterdir()]
+    cached_files = [*(tmp_path / "build" / "cache").iterdir()]
     with monkeypatch.context() as patch:
         patch.setattr(micropython, "_compiled", None)  # nothing may be compiled again
         assert reload(function).at(b"abc", 2) == ord("b") + 2
     numbers.AT = -1
     with pytest.raises(IndexError, match="-1 is before the start"):
         reload(function).at(b"abc", 1)
-    assert len(kept) == 1 and len([*(tmp_path / "build" / "cache").iterdir()]) == 2
+    assert len(cached_files) == 1 and len([*(tmp_path / "build" / "cache").iterdir()]) == 2

@@ -37,11 +37,12 @@ Names = dict[str, set[str]]  # parameters by method; none for a constant
 
 @pytest.fixture(scope="module")
 def stubs() -> Path:
+    """Return the folder of the stubs; install them there first if they are missing."""
     if not (_CACHE / "machine.pyi").exists():
         package = f"micropython-esp32-stubs=={_VERSION}"
         pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps"]
         try:
-            done = subprocess.run(
+            process = subprocess.run(
                 [*pip, "--target", str(_CACHE), package],
                 capture_output=True,
                 text=True,
@@ -50,38 +51,40 @@ def stubs() -> Path:
             )
         except subprocess.TimeoutExpired:
             pytest.skip(f"{package}: no answer")
-        if done.returncode:
-            pytest.skip(f"{package}: {done.stderr.strip().splitlines()[-1]}")
+        if process.returncode:
+            pytest.skip(f"{package}: {process.stderr.strip().splitlines()[-1]}")
     return _CACHE
 
 
 def names(file: Path, name: str) -> Names:
-    """Return the names of a class in a file, with overloads merged."""
+    """Return the public names of a class in a file, each with its parameters; overloads are
+    merged. **: takes any keyword."""
     tree = ast.parse(file.read_text())
-    found: Names = {}
+    by_name: Names = {}
     node = next(n for n in tree.body if isinstance(n, ast.ClassDef) and n.name == name)
     for item in node.body:
         if isinstance(item, ast.FunctionDef):
-            every = (*item.args.posonlyargs, *item.args.args, *item.args.kwonlyargs)
-            arguments = found.setdefault(item.name, set())
-            arguments.update(argument.arg for argument in every)
+            parameters = (*item.args.posonlyargs, *item.args.args, *item.args.kwonlyargs)
+            arguments = by_name.setdefault(item.name, set())
+            arguments.update(argument.arg for argument in parameters)
             arguments.update(["**"] if item.args.kwarg else [])
         elif isinstance(item, ast.AnnAssign) and isinstance(item.target, ast.Name):
-            found.setdefault(item.target.id, set())
+            by_name.setdefault(item.target.id, set())
         elif isinstance(item, ast.Assign):
             targets = (t.elts if isinstance(t, ast.Tuple) else [t] for t in item.targets)
             for target in (one for several in targets for one in several):
-                found.setdefault(ast.unparse(target), set())
-    return {key: value for key, value in found.items() if key == "__init__" or key[0] != "_"}
+                by_name.setdefault(ast.unparse(target), set())
+    return {key: value for key, value in by_name.items() if key == "__init__" or key[0] != "_"}
 
 
 @pytest.mark.parametrize(("module", "stub", "name"), _CLASSES, ids=[name for *_, name in _CLASSES])
 def test_a_stand_in_has_only_the_boards_names(
     module: str, stub: str, name: str, stubs: Path
 ) -> None:
+    """Each name and each keyword of a stand-in is in the stubs, apart from the names in _OURS."""
     ours, theirs = names(_STANDINS / module, name), names(stubs / stub, name)
     assert set(ours) - _OURS[name] <= set(theirs)
     for method in set(ours) & set(theirs):
         # Names of positional parameters do not matter.
-        given = {"level", "duty", "function"}
-        assert "**" in theirs[method] or ours[method] - given <= theirs[method], method
+        positional = {"level", "duty", "function"}
+        assert "**" in theirs[method] or ours[method] - positional <= theirs[method], method

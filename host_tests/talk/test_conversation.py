@@ -186,6 +186,7 @@ def test_bytes_right_after_an_alarm_are_discarded(sent: str) -> None:
 
 
 def test_a_probe_without_contact_reports_in_this_order() -> None:
+    """[PRB:…:0] is the result, without success; it comes half a second after the alarm."""
     bench = Bench({})
 
     def script() -> Script:

@@ -59,6 +59,7 @@ def test_the_last_fault_is_reported_until_power_off() -> None:
 
 @pytest.mark.parametrize("line", ["$I+1", "$I++", "$I-"])
 def test_similar_commands_are_refused_without_asking_for_health(line: str) -> None:
+    """Only $I+ calls the board's health function."""
     calls: list[int] = []
 
     def health() -> str:

@@ -43,6 +43,8 @@ def bench() -> GroupBench:
 @some(40)
 @given(_MOVES)
 def test_any_moves_obey_the_laws_of_motion_and_end_at_their_targets(moves: Any) -> None:
+    """moves: targets by axis, speed (None: the fastest), level of an output. bench.check() runs
+    all, under all laws."""
     bench = GroupBench()
     targets = dict.fromkeys(NAMES, 0.0)
     for to, speed, level in moves:
@@ -154,6 +156,7 @@ def test_moves_wait_for_the_end_of_a_stop(bench: GroupBench) -> None:
 
 
 def test_waiting_in_a_pause_is_refused(bench: GroupBench) -> None:
+    """wait() would never return."""
     bench.group.move(x=5)
     bench.group.pause()
     with pytest.raises(GroupError, match=r"resume\(\) or stop\(\) first"):
@@ -214,6 +217,7 @@ def test_several_outputs_change_independently() -> None:
 
 
 def test_a_move_is_done_as_the_next_one_begins(bench: GroupBench) -> None:
+    """wait(number) returns in the first fifth of the following move."""
     numbers = [bench.group.move_by(10, x=1) for _ in range(6)]
     for k, number in enumerate(numbers):
         bench.group.wait(number)
@@ -353,6 +357,7 @@ def test_a_task_fills_the_queue_without_blocking_others(loop_of: Any) -> None:
 def test_a_program_in_which_every_task_waits_for_ever_is_reported(
     bench: GroupBench, loop_of: Any
 ) -> None:
+    """Virtual time could not go on: no task waits for a time or a move."""
     loop_of(bench)
 
     async def main() -> None:

@@ -138,6 +138,7 @@ def test_the_drawing_of_the_example_is_drawn_and_ends_with_the_pen_up() -> None:
 @pytest.mark.parametrize("name", ["plotter", "scanner"])
 @needs_micropython
 def test_both_pythons_move_equally(name: str) -> None:
+    """The simulated run prints steps and times: the output is the same."""
     script = f"import sys; sys.argv[1:] = ['{name}.py']; __import__('sim.group_program')"
     script += "; sys.modules['sim.group_program'].main()"
     in_micropython = run_micropython(script, paths=[FIRMWARE, _TOOLS], heapsize="64M")
