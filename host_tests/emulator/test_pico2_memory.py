@@ -38,6 +38,7 @@ def machine(uf2: Path, folder: Path, more: str, says: str = "") -> Board:
     """
     file = folder / "pico2_more.py"
     file.write_text(BOARD_FILE.read_text("utf-8") + more, "utf-8")
+    # fromkeys(): None instead of each file of the common board.
     files = {**dict.fromkeys(firmware()), **build.for_board(file).files}
     return started(uf2, {**files, "jobs/EIGHT.NC": _JOB.encode()}, says)
 

@@ -49,6 +49,7 @@ def wired(uf2: Path, tmp_path: Path, card: SdCard) -> Board:
     file = tmp_path / "my.py"
     text = BOARD_FILE.read_text()
     file.write_text(f'{text}\nJOBS = "jobs"\nSD_CARD = {_PINS}\n')
+    # fromkeys(): None instead of each file of the common board.
     machine = Board(uf2, {**dict.fromkeys(firmware()), **build.for_board(file).files})
     machine.pico.record([*STEP, *DIR, SPINDLE_PWM])
     bus, clock = machine.pico.mcu.spi[_BUS], machine.pico.clock

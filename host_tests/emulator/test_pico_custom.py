@@ -1,4 +1,8 @@
-"""Test custom.py on the emulated Pico: it is a file there, and it can never lose a step."""
+"""Test custom.py on the emulated Pico: it is a file there, and it can never lose a step.
+
+Its words: M100 reports, M101 fails, M102 loops, M103 takes all memory, M104 swallows exceptions,
+M105 calls itself, M106 allocates 8000 bytes.
+"""
 
 import re
 import sys
@@ -243,6 +247,7 @@ def switch(m, P):
 def share(m, P):
     m.pwm("fan", P, 5000)
 """
+    # fromkeys(): None instead of each file of the common board.
     files = {**dict.fromkeys(firmware()), **build.for_board(file).files, "custom.py": words}
     machine = Board(uf2, files).boot().settled()
     machine.pico.record(list(pins.values()))
@@ -290,13 +295,13 @@ def streamed(uf2: Path, words: "bytes | None") -> "tuple[Talk, float]":
     """Start a board with this custom.py; return it and its highest rate of short moves, 1/s."""
     talk = Talk(EmulatedWire(Board(uf2, {"custom.py": words}).boot().settled()))
     set_up(talk)
-    # With up to 63 lines on their way. Objects that are created once exist afterwards.
-    stream(talk, list(short_moves(300)), 63)
+    # 63 blocks are in the planner. Objects that are created once exist afterwards.
+    stream(talk, list(short_moves(300)), blocks=63)
     idle(talk)
     for line in ("G90", "G0X10Y10"):
         talk.ask(line)
     idle(talk)
-    return talk, stream(talk, list(short_moves(800)), 63).lines_s
+    return talk, stream(talk, list(short_moves(800)), blocks=63).lines_s
 
 
 def test_unused_word_costs_little_and_a_timer_its_own_time(uf2: Path) -> None:
@@ -308,7 +313,7 @@ def test_unused_word_costs_little_and_a_timer_its_own_time(uf2: Path) -> None:
     talk, timer_lines_s = streamed(uf2, _TIMER)
     assert timer_lines_s > 0.9 * word_lines_s  # 20 calls a second of 1 ms, and the overhead
     before = calls(talk)
-    stream(talk, list(short_moves(800)), 63)
+    stream(talk, list(short_moves(800)), blocks=63)
     ms = 800 / timer_lines_s * 1000
     assert calls(talk) - before >= 0.8 * ms / 50, "the timer runs during an endless stream"
 

@@ -1,4 +1,8 @@
-"""Test faults on the emulated Pico: one line reports the fault, and motors and tool are off."""
+"""Test faults on the emulated Pico: one line reports the fault, and motors and tool are off.
+
+ask() sends a line and returns its answer, forget() clears the board's output, said. Inputs are
+closed at level 0. Steps are found in the edges recorded at the pins.
+"""
 
 from pathlib import Path
 

@@ -20,6 +20,7 @@ def test_texts_are_read_from_flash_and_stay_there(uf2: Path, tmp_path: Path) -> 
     """
     file = tmp_path / "hal.py"
     file.write_text(BOARD_FILE.read_text() + '\nDIALECT = "hal"\n')
+    # fromkeys(): None instead of each file of the common board.
     machine = Board(uf2, {**dict.fromkeys(firmware()), **build.for_board(file).files})
     machine.boot("GrblHAL 1.1f").settled()
     assert "[AXS:3:XYZ]" in machine.ask("$I")

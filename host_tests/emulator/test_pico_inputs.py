@@ -1,4 +1,8 @@
-"""Test switches, buttons and a probe at the emulated Pico, and stops of its motors."""
+"""Test switches, buttons and a probe at the emulated Pico, and stops of its motors.
+
+ask() sends a line and returns its answer, forget() clears the board's output, said. Inputs are
+closed at level 0. Steps are found in the edges recorded at the pins.
+"""
 
 from pathlib import Path
 

@@ -24,6 +24,7 @@ def board_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def machine(uf2: Path, board_file: Path) -> Board:
     """Return a board with a limit of jerk ($800 to $802, in mm/s3), its motor pins recorded."""
     files = build.for_board(board_file).files
+    # fromkeys(): None instead of each file of the common board.
     made = Board(uf2, {**dict.fromkeys(emulated.firmware()), **files}).boot().settled()
     for setting in _LIMITS:
         assert made.ask(setting).endswith("ok\r\n")

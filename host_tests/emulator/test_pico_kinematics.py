@@ -25,6 +25,7 @@ _TOLERANCE = 0.05
 def live(uf2: Path, file: Path, *settings: str) -> Board:
     """Start a Pico with that board file and settings, and record its motor pins."""
     files = build.for_board(file).files
+    # fromkeys(): None instead of each file of the common board.
     made = Board(uf2, {**dict.fromkeys(emulated.firmware()), **files, "main.py": MAIN})
     made.boot().settled()
     for setting in settings:

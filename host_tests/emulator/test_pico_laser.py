@@ -1,4 +1,8 @@
-"""Test the laser's pin on the emulated Pico."""
+"""Test the laser's pin on the emulated Pico.
+
+S0:300:775:100 in a line divides it into four dots of these powers; S1000 is full power. Levels are
+those of the PWM's compare register. M4 scales power with the speed and is off while idle.
+"""
 
 from bisect import bisect
 from itertools import pairwise
@@ -171,6 +175,7 @@ def test_power_changes_at_its_step_with_four_and_six_motors(
     A reset switches the beam off for good; afterwards it works again.
     """
     file = for_this_chip(BOARDS / "pico_laser.py", _MORE % (motors - 3, motors - 3))
+    # fromkeys(): None instead of each file of the common board.
     files = {**dict.fromkeys(firmware()), **build.for_board(file).files}
     machine = Board(uf2, files).boot().settled()
     machine.pico.record([SPINDLE_PWM, *STEP, *DIR])

@@ -20,6 +20,7 @@ def test_program_for_another_controller_is_drilled(uf2: Path, tmp_path: Path) ->
     steps/mm."""
     file = tmp_path / "lenient.py"
     file.write_text(BOARD_FILE.read_text() + "\nLENIENT = True\n")
+    # fromkeys(): None instead of each file of the common board.
     machine = Board(uf2, {**dict.fromkeys(firmware()), **build.for_board(file).files}).boot()
     machine.settled()
     for line in _SETTINGS:

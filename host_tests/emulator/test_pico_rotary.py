@@ -32,6 +32,7 @@ def machine(uf2: Path, tmp_path_factory: pytest.TempPathFactory) -> Board:
     assert 'MOTORS = "XYZY"' in gantry
     file.write_text(gantry.replace('MOTORS = "XYZY"', 'ROTARY = "A"'), "utf-8")
     files = build.for_board(for_this_chip(file)).files
+    # fromkeys(): None instead of each file of the common board.
     made = Board(uf2, {**dict.fromkeys(emulated.firmware()), **files, "main.py": MAIN})
     made.boot().settled()
     for setting in _SETTINGS:

@@ -140,6 +140,7 @@ def test_a_board_that_allows_pulses_of_1_us_makes_500_khz_on_six_motors(uf2: Pat
     """With $0=1 and an acceleration that reaches this rate."""
     file = for_this_chip(BOARDS / "pico_six.py", "STEP_PULSE_MIN_US = 1")
     made = build.for_board(file).files
+    # fromkeys(): None instead of each file of the common board.
     machine = Machine(_board(uf2, {**dict.fromkeys(emulated.firmware()), **made}))
     for line in ("$0=1", *(f"${120 + axis}=160000" for axis in range(6))):
         assert machine.board.ask(line).endswith("ok\r\n"), line
@@ -240,5 +241,6 @@ def test_heap_is_free_with_six_axes(uf2: Path) -> None:
 def test_heap_is_free_with_four_axes_and_a_pair(uf2: Path) -> None:
     five = 'MOTORS = "XYZAY"\nSTEP, DIR, LIMIT = STEP[:5], DIR[:5], LIMIT[:5]\n'
     file = for_this_chip(BOARDS / "pico_six.py", five)
+    # fromkeys(): None instead of each file of the common board.
     files = {**dict.fromkeys(emulated.firmware()), **build.for_board(file).files}
     assert free(_board(uf2, files, FREE)) >= _HEAP

@@ -235,7 +235,7 @@ def _left(talk: Talk, lines: "list[str]") -> int:
     inside(talk, "$COLLECT=1")
     inside(talk, "$GC=0")
     (before,) = inside(talk, "$ALLOC")  # allocated bytes
-    stream(talk, lines, 15)
+    stream(talk, lines, blocks=15)
     (after,) = inside(talk, "$ALLOC")
     inside(talk, "$GC=1")
     return after - before

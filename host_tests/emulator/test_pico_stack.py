@@ -188,18 +188,18 @@ def modes(machine: Board) -> None:
     stream(
         machine,
         ("G91G1X0.3F3000", "M3S100", "G4P0.001", "M8", "G90", "G91", "M9", "G1X-0.3F2000", "M5"),
-        2,
-        17,
+        rounds=2,
+        query_ms=17,
     )
 
 
 def short_lines(machine: Board) -> None:
-    stream(machine, ("G1X0.05F3000", "G1X-0.05"), 12, 17)
+    stream(machine, ("G1X0.05F3000", "G1X-0.05"), rounds=12, query_ms=17)
 
 
 def jogs(machine: Board) -> None:
     """Stream jogs, and cancel one in motion."""
-    stream(machine, ("$J=X0.1F3000", "$J=X-0.1F3000"), 5, 17)
+    stream(machine, ("$J=X0.1F3000", "$J=X-0.1F3000"), rounds=5, query_ms=17)
     machine.forget()
     machine.send("$J=X5F3000\n")
     machine.pico.run_us(50_000)
@@ -289,8 +289,8 @@ def stops(pin: int, answer: str) -> "Callable[[Board], None]":
     """Return the scenario of an input that stops the machine, at several phases."""
 
     def scenario(machine: Board) -> None:
-        for phase in (2.1, 5.3, 9.7):
-            in_arcs(machine, phase, pin, answer)
+        for phase_ms in (2.1, 5.3, 9.7):
+            in_arcs(machine, phase_ms, pin, answer)
             unlock(machine)
 
     return scenario
@@ -345,7 +345,7 @@ def test_two_kilobytes_stay_free_in_streams_of_arcs(
 ) -> None:
     """feed: mm/min; query_ms: from one "?" to the next."""
     stack.paint()
-    stream(machine, (f"{ARCS[0]}F{feed}", ARCS[1]), 3, query_ms)
+    stream(machine, (f"{ARCS[0]}F{feed}", ARCS[1]), rounds=3, query_ms=query_ms)
     stack.marks[f"F{feed} ? {query_ms}"] = stack.used()
     assert stack.used() <= SIZE - RESERVE
 
@@ -355,7 +355,7 @@ def test_firmware_reports_the_stack_use_measured_from_outside(
 ) -> None:
     """Both find the same paint; $I+ itself may use a little more."""
     stack.paint()
-    stream(machine, (f"{ARCS[0]}F3000", ARCS[1]), 1, 23)
+    stream(machine, (f"{ARCS[0]}F3000", ARCS[1]), rounds=1, query_ms=23)
     reported = machine.ask("$I+").partition("[MSG:Stack: ")[2]
     used_bytes = int(reported.partition(" of 8192 bytes used]")[0])
     assert abs(used_bytes - stack.used()) <= 64
@@ -364,14 +364,14 @@ def test_firmware_reports_the_stack_use_measured_from_outside(
 def test_reserve_remains_if_the_deepest_of_all_are_nested(machine: Board, stack: Stack) -> None:
     """The sum of the depths that were sampled separately, in arcs, commands, a hold and stops."""
     with stack.sampled():
-        stream(machine, (f"{ARCS[0]}F3000", ARCS[1]), 1, 23)
+        stream(machine, (f"{ARCS[0]}F3000", ARCS[1]), rounds=1, query_ms=23)
         talk(machine)
-        in_arcs(machine, 3.1, HOLD, "<Hold")
+        in_arcs(machine, query_ms=3.1, pin=HOLD, answer="<Hold")
         machine.send("~")
         machine.pico.run_us(5_000)
         for pin, answer in ((LIMIT[0], "Reset to continue"), (RESET, "ALARM:3")):
             unlock(machine)
-            in_arcs(machine, 3.1, pin, answer)
+            in_arcs(machine, query_ms=3.1, pin=pin, answer=answer)
     unlock(machine)
     irqs = dict(stack.irqs)
     assert {TIMER, ENGINE, PIN} <= irqs.keys()

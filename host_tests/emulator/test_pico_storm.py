@@ -1,4 +1,8 @@
-"""Test storms of edges on inputs of the emulated Pico: steps are on time, the watch acts."""
+"""Test storms of edges on inputs of the emulated Pico: steps are on time, the watch acts.
+
+ask() sends a line and returns its answer, forget() clears the board's output, said. Inputs are
+closed at level 0. Steps are found in the edges recorded at the pins.
+"""
 
 from pathlib import Path
 

@@ -1,4 +1,8 @@
-"""Test the watch on the emulated Pico: hanging main loop, opened port, flash, deaf host."""
+"""Test the watch on the emulated Pico: hanging main loop, opened port, flash, deaf host.
+
+ask() sends a line and returns its answer, forget() clears the board's output, said. Inputs are
+closed at level 0. Steps are found in the edges recorded at the pins.
+"""
 
 from collections.abc import Callable
 from pathlib import Path

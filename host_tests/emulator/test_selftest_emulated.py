@@ -97,8 +97,14 @@ def test_firmware_passes_all_checks_that_can_be_shown_here(uf2: Path) -> None:
     assert (chip, wiring) == (_CHIP, Wiring("pio", 8, 16, False, 3))
     machine.pico.erase_takes_us(_ERASE_US)
     rows: "dict[str, Row]" = {}
-    # 13: the seed of the random instants.
-    check(board, chip, program.QUICK, True, 13, lambda row: rows.update({row.what: row}))
+    check(
+        board,
+        chip,
+        program.QUICK,
+        pwm=True,
+        seed=13,
+        tell=lambda row: rows.update({row.what: row}),
+    )
     failed = [row for row in rows.values() if row.passed is False]
     assert not failed
     assert not [row for row in rows.values() if row.passed is None]
@@ -114,6 +120,7 @@ def test_five_and_six_motors_are_counted_in_turn(
     """Their engine uses machines of PIO 1; the free machines count some motors at a time."""
     less = f"STEP, DIR, LIMIT = STEP[:{motors}], DIR[:{motors}], LIMIT[:{motors}]\n"
     file = for_this_chip(BOARDS / "pico_six.py", f"WATCHDOG_MS = 1500\n{less}")
+    # fromkeys(): None instead of each file of the common board.
     files = {**dict.fromkeys(firmware()), **build.for_board(file).files}
     machine = Board(uf2, files)
     for pin in (*range(15, 23), 0, 1, 28):  # open inputs
@@ -123,7 +130,9 @@ def test_five_and_six_motors_are_counted_in_turn(
     assert (chip, wiring) == (_CHIP, Wiring("pio", 14, 26, False, motors))
     rows: "dict[str, Row]" = {}
     monkeypatch.setattr(sys.modules[Emulated.__module__], "_MOST_S", 30)
-    check(board, chip, program.QUICK, True, 5, lambda row: rows.update({row.what: row}))
+    check(
+        board, chip, program.QUICK, pwm=True, seed=5, tell=lambda row: rows.update({row.what: row})
+    )
     failed = [row for row in rows.values() if row.passed is False]
     # At most this check fails.
     assert [row.what for row in failed] == ["settings save: interrupts off"][: len(failed)]
@@ -169,7 +178,7 @@ def test_wrong_engine_fails(uf2: Path) -> None:
     machine.wait_for(_RAW)
     chip, _ = look(board)
     rows: "dict[str, Row]" = {}
-    check(board, chip, _FEW, False, 13, lambda row: rows.update({row.what: row}))
+    check(board, chip, _FEW, pwm=False, seed=13, tell=lambda row: rows.update({row.what: row}))
     failed = {row.what for row in rows.values() if row.passed is False}
     assert failed >= {
         "steps at 1 kHz, all axes",

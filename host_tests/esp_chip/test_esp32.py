@@ -1,4 +1,9 @@
-"""Test the ESP32 on stand-ins as strict as its modules; the firmware starts on them."""
+"""Test the ESP32 on stand-ins as strict as its modules; the firmware starts on them.
+
+A script (talk) is a list of texts to send, each with the text to wait for in the answer. Some are
+commands to the environment: "ms 300" waits, "pin 5 0" sets the level of a pin; esp_boot.py has the
+others.
+"""
 
 import json
 import re

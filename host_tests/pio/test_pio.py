@@ -4,6 +4,11 @@ chip.
 The assembled programs run on rp2040py's model of a PIO block. A second has 12.5 million ticks:
 moves too slow to be played are computed from the timing that programs.py states; the model is
 shown to keep that timing.
+
+A row is a segment: its ticks, directions, power, and per axis its steps and the ticks of the first
+and the last one. A word is what the engine makes of rows: DIR, a number of steps, and a delay.
+Words.due has the steps (tick, DIR) that follow from rows, Words.played() those that the model
+makes. A Bed has the whole engine: places() counts its steps, position() is what it reports.
 """
 
 import sys
@@ -394,7 +399,7 @@ def test_model_and_test_engines_agree_on_moves(name: str) -> None:
 
     planner = SimpleNamespace(motors=AXES)
     stand_in: Any = SimpleNamespace(planner=planner, segments=SimpleNamespace(next=next_segment))
-    by_arithmetic = _play_words(stand_in, 1)  # tick, axis, sign
+    by_arithmetic = _play_words(stand_in, us=1)  # tick, axis, sign; a tick as the unit of time
     played = fed(rows).played()
     by_model = [
         (tick, i, -1 if level else 1) for i in range(AXES) for tick, level in played[i].steps
@@ -543,7 +548,7 @@ def test_intervals_are_even_at_a_constant_rate(hz: int) -> None:
     Slow moves are computed, not played: an interval at 1 Hz has 12.5 million ticks.
     """
     # A twelfth of a second, or 12 steps if that is more.
-    rows = at_rate(hz, max(hz // 12, 12), (1.0, 1.0, 1.0), _engine_hz(hz))
+    rows = at_rate(hz, max(hz // 12, 12), ratio=(1.0, 1.0, 1.0), step_hz=_engine_hz(hz))
     words = fed(rows, _shortest(hz))
     assert not any(words.late)
     if hz >= 1000:
@@ -564,7 +569,7 @@ def test_fast_axes_are_even_to_three_ticks_at_any_rate(
 ) -> None:
     """Intervals differ from their mean by 1.1 ticks, so from each other by less than three, or by
     1 %; the slower axes of the same line, too."""
-    rows = at_rate(hz, hz // 4, ratio, _engine_hz(hz))
+    rows = at_rate(hz, hz // 4, ratio, step_hz=_engine_hz(hz))
     words = fed(rows, _shortest(hz))
     assert not any(words.late)
     for steps in cruise(words, rows):
@@ -579,7 +584,7 @@ def test_three_axes_make_the_highest_rate(pulse_us: int, hz: int) -> None:
     steps."""
     engine_says = HZ // pulses.shortest_gap(ticks(pulse_us))
     assert engine_says == hz
-    rows = at_rate(engine_says, 25_000, (1.0, 1.0, -1.0), engine_says)
+    rows = at_rate(engine_says, steps=25_000, ratio=(1.0, 1.0, -1.0), step_hz=engine_says)
     words = fed(rows, (pulse_us, 2, 5))
     played = words.played()
     assert [seen.place for seen in played] == [25_000, 25_000, -25_000]
@@ -611,10 +616,10 @@ def test_the_stated_rate_includes_a_margin_for_rounding(
     """No segment waits for another, although rounding makes gaps up to a tick shorter."""
     gap = pulses.shortest_gap(ticks(pulse_us))
     assert gap > ticks(pulse_us) + 9  # the program's limit
-    rows = at_rate(HZ // gap, 20_000, ratio, 600_000)
+    rows = at_rate(HZ // gap, 20_000, ratio, step_hz=600_000)
     assert not any(fed(rows, (pulse_us, 2, 5)).late)
     # Faster than the program allows.
-    rows = at_rate(HZ // (ticks(pulse_us) + 8), 20_000, ratio, 600_000)
+    rows = at_rate(HZ // (ticks(pulse_us) + 8), 20_000, ratio, step_hz=600_000)
     assert any(fed(rows, (pulse_us, 2, 5)).late)
 
 

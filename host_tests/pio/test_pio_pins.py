@@ -1,4 +1,9 @@
-"""Pins of the RP2040 on stand-ins, and the power-up checks of a board file."""
+"""Pins of the RP2040 on stand-ins, and the power-up checks of a board file.
+
+Limits of X, Y and Z are at pins 9, 10 and 11, the probe at 12, buttons at 13, 14 and 15; all are
+closed at level 0. Pin.calls counts the interrupts of a pin. expire() runs the callback of a timer
+as if its time were over.
+"""
 
 from collections.abc import Iterator
 from types import ModuleType, SimpleNamespace
@@ -213,7 +218,7 @@ def test_an_open_emergency_stop_is_reported_also_during_debounce() -> None:
     before = heard.controls
     Pin(13).drive(0)  # a button
     Pin(22).drive(1)  # while a button bounces
-    assert heard.controls == before + 2
+    assert heard.controls == before + 2  # button, emergency stop
     port._control_timer.expire()
     assert heard.controls == before + 3  # it is still pressed
     assert port._control_timer.callback is None
