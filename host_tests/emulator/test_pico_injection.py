@@ -86,7 +86,7 @@ def _play_in_turn(life: Life, trial: Trial) -> Outcome:
     life.start()
     life.run_to(trial.at_us)
     outcome = trial.outcome(life)
-    if outcome.trouble:
+    if outcome.trouble:  # the trial has ended early; the next one needs an idle machine
         trial.make_usable(life.machine)
     return outcome
 

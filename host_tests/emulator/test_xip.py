@@ -142,7 +142,8 @@ def test_read_from_outside_changes_nothing(chip: _Chip) -> None:
     [(_FLASH, 0, 0), (_NO_ALLOCATE, 1, 1), (_NO_CACHE, 1, 0), (_NEITHER, 1, 1)],
 )
 def test_aliases_of_uncached_flash(chip: _Chip, alias: int, again: int, by_flash: int) -> None:
-    """An alias is the same flash at an address that lets the cache look up or store no line.
+    """An alias is the same flash at another address. Read there, _NO_ALLOCATE uses a line of the
+    cache but stores none, _NO_CACHE stores a line but uses none, _NEITHER does neither.
 
     again, by_flash: misses of a second read by the alias, and of a read by the normal address.
     """

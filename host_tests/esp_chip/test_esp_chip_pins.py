@@ -236,7 +236,7 @@ def test_lost_contact_of_the_probe_is_found() -> None:
 
 
 def test_lost_emergency_stop_is_found() -> None:
-    Pin(21, Pin.IN).drive(0)
+    Pin(21, Pin.IN).drive(0)  # closed
     port, heard = made(ESTOP=21)
     deaf(lambda: Pin(21).drive(1))  # its contact opens when pressed
     assert heard == []

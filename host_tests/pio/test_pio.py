@@ -438,7 +438,7 @@ def test_a_reversal_takes_the_shortest_allowed_time(timing: Timing) -> None:
     time."""
     pulse, hold, setup = (ticks(us) for us in timing)
     gap = pulses.shortest_gap(pulse)
-    # Four segments of four steps; every second one turns all three axes (7).
+    # Four segments of four steps; every second one is backwards on all three axes (7).
     rows = [row(4 * gap, k % 2 * 7, *[(4, gap, 4 * gap)] * AXES) for k in range(4)]
     for seen in fed(rows, timing).played():
         check_times(seen, timing)
@@ -996,7 +996,7 @@ def test_a_turn_cut_off_by_a_stop_is_repeated(motors: int) -> None:
     back = (1 << motors) - 1  # all motors
     with a_bed(motors=motors) as bed:
         bed.start(rush([0, back], motors=motors))
-        bed.chip.run(2000)  # ticks: in the second segment
+        bed.chip.run(2000)  # ticks: in the first segment
         bed.engine.stop()
         bed.again(rush([back], motors=motors)).finish()
         bed.engine.stop()

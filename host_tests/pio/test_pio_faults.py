@@ -237,7 +237,7 @@ def _interrupt(bed: Bed) -> "Callable[[], None]":
     """Return a function that runs the pending interrupt now."""
 
     def come() -> None:
-        bed.chip._due = None
+        bed.chip._due = None  # it will not come again by itself
         bed.chip.interrupt()
 
     return come
@@ -401,7 +401,7 @@ def test_a_stuck_dma_channel_is_a_fault(motors: int, lane: int) -> None:
         bed.chip.run(2000)
         channel = bed.chip.channels[lane]
         channel.advance = lambda: None  # type: ignore[method-assign]
-        channel._left = 3
+        channel._left = 3  # words
         bed.engine.stop()
         bed.again(rush([0], motors=motors))
         bed.chip.run(4000)
