@@ -1,11 +1,8 @@
 """Test the page served by the board itself in a real browser: `ugrbl sim --page`.
 
-A `Visitor` is a person at the page in one browser tab. reads(selector, text) and sees(state) wait
-until the page shows it; waits(script) waits until the JavaScript holds in the page. There `grbl`
-is the page's model of the machine (grbl.machine and grbl.work: position in mm) and `job` is the
-program being sent. rests_at() waits until the machine is idle at that work position in mm;
-pauses() takes seconds; loads() opens a program; types() sends a line in the console; evaluate()
-runs JavaScript and returns its value.
+A `Visitor` is a person at the page in one browser tab.
+
+browser.py says what a person, a homer and the page's `grbl` and `job` are.
 """
 
 import re

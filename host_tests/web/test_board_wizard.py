@@ -1,12 +1,9 @@
 """Test the setup of a board in the page, from an empty board to a machine that answers.
 
 The board is a stand-in (PromptBoard): it has MicroPython's prompt, files in a folder, and, once
-started, a simulated machine. `person.bridge.machine` is this board. reads(selector, text) and
-sees(state) wait until the page shows it; waits(script) waits until the JavaScript holds in the
-page. There `grbl` is the page's model of the machine (grbl.machine and grbl.work: position in mm)
-and `job` the program being sent. rests_at() waits until the machine is idle at that work position
-in mm; pauses() takes seconds; loads() opens a program; types() sends a line in the console;
-evaluate() runs JavaScript and returns its value.
+started, a simulated machine. `person.bridge.machine` is this board.
+
+browser.py says what a person, a homer and the page's `grbl` and `job` are.
 """
 
 from collections.abc import Callable, Iterator

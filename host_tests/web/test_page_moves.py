@@ -1,19 +1,6 @@
 """Test the page's controls that move the machine by hand, and those that stop it.
 
-A `person` uses the page in a browser that is connected to a simulated machine. A `homer` is one at
-a machine with limit switches and 30 mm of travel, locked until it is homed; it then stands at -1
-mm on each axis. reads(selector, text) and sees(state) wait until the page shows it; waits(script)
-waits until the JavaScript holds in the page. There `grbl` is the page's model of the machine
-(grbl.machine and grbl.work: position in mm) and `job` is the program being sent. rests_at() waits
-until the machine is idle at that work position in mm; pauses() takes seconds; loads() opens a
-program; types() sends a line in the console; evaluate() runs JavaScript and returns its value.
-`person.machine` is the machine's end of the wire: lines() and `sent` are what the page has sent,
-say() sends bytes to the page, `hears = False` lets the machine receive nothing, report() asks the
-machine itself for (state, position, feed), and unplug() cuts the wire. sent_at_once() returns the
-realtime bytes sent except `?` (! hold, ~ resume, 0x18 reset, 0x85 jog cancel). `said` are the
-bytes that the machine has sent.
-
-FAR is a program that runs round a rectangle of 40 by 20 mm for some seconds.
+browser.py says what a person, a homer and the page's `grbl` and `job` are.
 """
 
 import pytest

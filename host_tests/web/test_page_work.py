@@ -1,16 +1,9 @@
 """Test outline, coordinate systems, macros, jobs on the board, and the search for settings.
 
-A `person` uses the page in a browser that is connected to a simulated machine. reads(selector,
-text) and sees(state) wait until the page shows it; waits(script) waits until the JavaScript holds
-in the page. There `grbl` is the page's model of the machine (grbl.machine and grbl.work: position
-in mm) and `job` is the program being sent. rests_at() waits until the machine is idle at that work
-position in mm; pauses() takes seconds; loads() opens a program; types() sends a line in the
-console; evaluate() runs JavaScript and returns its value. `person.machine` is the machine's end of
-the wire: lines() and `sent` are what the page has sent, say() sends bytes to the page, `hears =
-False` lets the machine receive nothing, report() asks the machine itself for (state, position,
-feed), and unplug() cuts the wire. sent_at_once() returns the realtime bytes sent except `?` (!
-hold, ~ resume, 0x18 reset, 0x85 jog cancel). jogs() returns the jog lines ($J) of the page. _JOB
-cuts from (10, 5) to (40, 25): its arc bulges 10 mm beyond X30.
+jogs() returns the jog lines ($J) of the page. _JOB cuts from (10, 5) to (40, 25): its arc bulges
+10 mm beyond X30.
+
+browser.py says what a person, a homer and the page's `grbl` and `job` are.
 """
 
 import json

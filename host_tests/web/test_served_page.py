@@ -5,12 +5,9 @@ again.
 
 The server `web` and its simulated mill serve all tests of this file. A visit() opens its page in a
 new browser, as a `Visitor`. The mill has 150 mm of travel on each axis; homed, it stands at -1 mm
-on each. reads(selector, text) and sees(state) wait until the page shows it; waits(script) waits
-until the JavaScript holds in the page. There `grbl` is the page's model of the machine
-(grbl.machine and grbl.work: position in mm) and `job` is the program being sent. rests_at() waits
-until the machine is idle at that work position in mm; pauses() takes seconds; loads() opens a
-program; types() sends a line in the console; evaluate() runs JavaScript and returns its value.
-job.made is the number of lines executed.
+on each. job.made is the number of lines executed.
+
+browser.py says what a person, a homer and the page's `grbl` and `job` are.
 """
 
 import os

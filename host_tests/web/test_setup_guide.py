@@ -1,12 +1,9 @@
 """Test the setup guide on a machine that does not match its settings.
 
 A `Mechanic` is a person with a ruler at a simulated machine: really_at() is the real position in
-mm, sets_up_motor() and sets_up_homing() do tasks of the guide. reads(selector, text) and
-sees(state) wait until the page shows it; waits(script) waits until the JavaScript holds in the
-page. There `grbl` is the page's model of the machine (grbl.machine and grbl.work: position in mm)
-and `job` is the program being sent. rests_at() waits until the machine is idle at that work
-position in mm; pauses() takes seconds; loads() opens a program; types() sends a line in the
-console; evaluate() runs JavaScript and returns its value.
+mm, sets_up_motor() and sets_up_homing() do tasks of the guide.
+
+browser.py says what a person, a homer and the page's `grbl` and `job` are.
 """
 
 import json
