@@ -80,6 +80,7 @@ def test_board_has_a_description_and_the_arch_of_its_chip(name: str) -> None:
 def test_all_picos_are_wired_alike(name: str) -> None:
     """A board file cannot import another one, so the wiring is repeated in each."""
     pico, other_pico = vars(load_board("rpi_pico")), vars(load_board(name))
+    # all options but those of the chip
     names = {key for key in (*pico, *other_pico) if key.isupper()} - {
         "CHIP",
         "MPY_ARCH",

@@ -74,6 +74,7 @@ def test_inputs_and_dependent_options_match_the_existing_boards(file: Path) -> N
 
 
 def test_existing_board_can_be_made_again(file: Path) -> None:
+    """hold=4 and start=35 are its CONTROL; all other pins are read from its file."""
     existing: Any = load_board("esp32_devkit")
     words = [f"step={existing.STEP}", f"dir={existing.DIR}", f"limit={existing.LIMIT}"]
     words += [f"enable={existing.ENABLE}", f"probe={existing.PROBE}", "hold=4", "start=35"]

@@ -198,6 +198,7 @@ def test_drawing_is_within_its_stated_tolerance_of_the_path(most: int) -> None:
 
 
 def test_drawn_cuts_are_cuts_and_drawn_rapids_are_rapids() -> None:
+    """strokes(False): start and end of each cut; strokes(True): of each rapid."""
     job = run_job("", lettering(), _FAST)
     drawn = drawing.draw(job, 600_000)
     cuts, rapids = drawn.strokes(False), drawn.strokes(True)
@@ -316,7 +317,7 @@ def test_figures_are_written_as_json(program: Path) -> None:
     done = ugrbl(program, "-o", program.with_name("out.png"), "--set", "110=1000", "--json", "-")
     found = json.loads(done.stdout)
     assert [job["lines"] for job in found["jobs"]] == [8, 8]
-    # 500 mm/min, 250 steps/mm
+    # The first job is without --set: $110 is 500 mm/min; 250 steps/mm.
     assert found["jobs"][0]["fastest_step_hz"]["X"] == pytest.approx(500 / 60 * 250, rel=0.01)
     assert "instead of" in found["verdict"]
 

@@ -47,6 +47,8 @@ class Course:
     """The course of an arc: its computed positions, and the exact ones."""
 
     def __init__(self, way: Way, tolerance: float) -> None:
+        """Lay the arc as the firmware does. tolerance: of chords, in mm; left: chords but the
+        last."""
         self.axes = 2 + len(way.shift)
         reach_mm = 2 * max(map(abs, (*way.centre, *way.shift, way.radius))) + way.radius
         # steps/mm of X: high, but positions stay within the range of a course

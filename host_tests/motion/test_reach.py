@@ -77,7 +77,8 @@ def answer(form: str, mm: float, steps_per_mm: float, board: str = "sim") -> "tu
 def test_a_target_is_refused_if_its_steps_cannot_be_counted(
     form: str, part: float, sign: int, steps_per_mm: float
 ) -> None:
-    """part: of the farthest position that can be counted, 2**29 steps."""
+    """form: a way to write the line, see FORMS; part: of the farthest position that can be
+    counted, 2**29 steps."""
     if form.startswith("probe"):
         part += 1  # a probe within reach would take hours
     reply, motors = answer(form, sign * part * FARTHEST / steps_per_mm, steps_per_mm)

@@ -233,6 +233,8 @@ def test_the_entry_is_the_same_for_a_machine_that_reports_inches(
 def test_a_laser_is_switched_on_only_at_the_entry_point(
     here: machine_snapshot.MachineSnapshot,
 ) -> None:
+    """Line 6 of PART has no G1 of its own, so the beam would have to be on before it: refused.
+    Line 7 has a G2."""
     here.settings[32] = "1"  # laser mode
     with pytest.raises(CannotEnter, match="line 6 continues G1"):
         way(here, 6)

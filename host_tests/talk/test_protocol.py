@@ -246,6 +246,8 @@ class Miscounting:
 
 
 def test_a_sender_that_counts_a_resume_as_an_answer_loses_no_line() -> None:
+    """After three resumes it sends more than its 120 bytes ahead; the receive buffer must hold
+    them all."""
     machine = Turns()
     rig, sender = machine.rig, machine.sender
     lines = [f"G1 X{k % 2}.{k % 10}00 Y0.{k % 10}00 F1200" for k in range(120)]

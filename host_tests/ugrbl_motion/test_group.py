@@ -138,9 +138,7 @@ def test_a_stop_brakes_as_hard_as_the_axis_may_and_no_harder(bench: GroupBench) 
     bench.group.wait()
     travel = bench.axes[0].position - position_before
     # v**2 / 2 a; before that, at most 0.06 s of segments that the engine has already
-    assert (
-        speed**2 / 2 / 500 <= travel <= speed**2 / 2 / 500 + speed * 0.06
-    )  # segments made position_before
+    assert speed**2 / 2 / 500 <= travel <= speed**2 / 2 / 500 + speed * 0.06
     assert bench.hardware.now_s - asked_at_s <= speed / 500 + 0.08
 
 
