@@ -248,7 +248,8 @@ def test_any_stop_switches_the_beam_off_for_good(
 
 @pytest.mark.parametrize("mode", ["M3", "M4"])
 def test_hold_is_dark_and_dots_continue_after_it(machine: Board, beam: Beam, mode: str) -> None:
-    """All steps are made, 4 mm of 250, and in M3 the last dots have their exact levels."""
+    """running() starts four lines of 1 mm, each with six dots of the levels _DOTS. After the hold
+    all steps are made (250 per mm), and in M3 the last dots have their exact levels."""
     running(machine, beam, mode)
     machine.send("!")
     machine.pico.run_us(300_000)

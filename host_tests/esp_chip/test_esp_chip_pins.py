@@ -1,7 +1,8 @@
 """Test the pins of the ESP32 on stand-ins.
 
 Limits of X, Y and Z are at pins 13, 5 and 36, the probe at 39, control inputs at 4 and 35; all are
-closed at level 0. advance() lets time pass until then, in us; work() does so without callbacks.
+closed at level 0. clock.advance() lets time pass until then, clock.work() for so long without
+callbacks, both in us. deaf() makes a change of a pin while callbacks are lost.
 """
 
 from collections.abc import Iterator

@@ -191,6 +191,7 @@ class Words:
     def played(self) -> "list[Driver]":
         """Play all words; return what the drivers receive."""
         model = self.model()
+        # Until all words are fetched and every machine waits for the next one.
         while any(model.unread(i) or model.at(i) != programs.NEXT for i in range(AXES)):
             model.run(200)
         return [driver(model.edges, i) for i in range(AXES)]
@@ -648,7 +649,7 @@ def test_machines_wait_for_late_words(
         edges = len(model.edges)
         model.run(gap)
         assert len(model.edges) == edges, "a pin has moved"
-        assert all(model.at(i) == programs.NEXT for i in range(AXES))
+        assert all(model.at(i) == programs.NEXT for i in range(AXES))  # waiting for a word
     for i in range(AXES):
         seen = driver(model.edges, i)
         assert [level for _, level in seen.steps] == [level for _, level in words.due[i]]
