@@ -63,7 +63,7 @@ def step_ends(hardware: SimHardware, axis: int) -> "list[tuple[int, int]]":
 def test_the_mount_follows_the_sky_with_an_error_below_1e_6(seconds: int) -> None:
     """mount.py slews both axes, then tracks for `seconds` at 15 arc seconds per second."""
     hardware = ran("mount", ("3600)", f"{seconds})"))
-    per_arcsec = 200 * 64 * 3 * 144 / 1_296_000  # steps; 1296000 arc seconds are first_steps turn
+    per_arcsec = 200 * 64 * 3 * 144 / 1_296_000  # steps; 1296000 arc seconds are a turn
     ends = step_ends(hardware, 1)  # axes are in the order of their names: dec, ra
     hz = hardware.sim.tick_hz
     # the slew of ra ends at 54000 arc seconds
@@ -73,7 +73,7 @@ def test_the_mount_follows_the_sky_with_an_error_below_1e_6(seconds: int) -> Non
     assert last_tick - first_tick > (seconds - 10) * hz
     rate = (last_steps - first_steps) / per_arcsec / ((last_tick - first_tick) / hz)
     assert abs(rate / 15.0 - 1) < 1e-6
-    # Nor is it ever off: each step within first_steps thousandth of its interval.
+    # Nor is it ever off: each step within a thousandth of its interval.
     interval = hz / (15.0 * per_arcsec)
     for tick, made in track:
         assert abs(tick - first_tick - (made - first_steps) * interval) < interval / 1000 + 2
