@@ -189,8 +189,8 @@ def test_good_board_passes_every_check(selftest: "Callable[..., Any]") -> None:
     assert rows["pulse width, 50 kHz"]["text"] == "10 us; 10 asked; 27 pulses"
     assert rows["step period, 50 kHz"]["text"] == "20 us; 20 asked; 24 periods"
     # 30 and 70 ticks, see TURNS
-    assert rows["direction hold"]["text"] == "2.4 us at least; 2 required; 6 reversals"
-    assert rows["direction set-up"]["text"] == "5.6 us at least; 5 required; 6 reversals"
+    assert rows["direction hold"]["text"] == "shortest time 2.4 us in 6 reversals; 2 us required"
+    assert rows["direction set-up"]["text"] == "shortest time 5.6 us in 6 reversals; 5 us required"
     assert rows[_LIMIT]["figures"]["worst_us"] == 20  # the longest is 250 ticks
     # 48 ms less the time between two beats, 1 ms
     assert rows["settings save: interrupts off"]["text"].startswith("47.0 ms")

@@ -396,7 +396,7 @@ def test_from_line_refuses_to_start_after_user_words_that_may_have_moved(
     words = (check, "--from-line", "9", "--yes")
     code, text = Send(own_bench, tmp_path, OWN_CUTS, *words).end()
     assert code == 1 and "--custom FILE" in text
-    assert "line 3 is not known to the simulator: M100 P1" in text
+    assert "the simulator refuses line 3: M100 P1" in text
     assert place(own_bench) == ("Idle", [0.0, 0.0, 0.0])
     assert b"G53" not in own_bench.wire(">")
 
@@ -433,7 +433,7 @@ def test_from_line_refuses_to_start_after_a_refused_line(bench: Bench, tmp_path:
     lines = [*STAIRS[:5], "G64", *STAIRS[5:9]]
     words = ("--no-check", "--from-line", "8", "--yes")
     code, text = Send(bench, tmp_path, lines, *words).end()
-    assert code == 1 and "line 6 is not known to the simulator: G64" in text
+    assert code == 1 and "the simulator refuses line 6: G64" in text
     assert place(bench) == ("Idle", [0.0, 0.0, 0.0])
 
 

@@ -200,7 +200,7 @@ class Job:
             if number in forecast.refused:
                 may_be_known = handler or self._custom_codes.is_cut  # to the machine
                 todo = self._todo() if may_be_known else "remove it if the machine refuses it, too"
-                why = f"line {number} is not known to the simulator: {gcode_file.shown(line)}"
+                why = f"the simulator refuses line {number}: {gcode_file.shown(line)}"
             elif handler and not self._options.custom:  # the simulator ran no handler
                 why, todo = f"line {number} has the machine run {handler}", self._todo()
             else:

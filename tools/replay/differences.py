@@ -193,8 +193,8 @@ DIFFERENCES = (
     ),
     Difference(
         "refused homing again",
-        "A second $Hx that is refused gets the same answer as the first; Grbl is stuck in Home "
-        "after the first.",
+        "A second $Hx that is refused gets the same answer as the first. Grbl stays in the state "
+        "Home after the first.",
         _homing,
     ),
 )

@@ -291,7 +291,7 @@ class Entry:
         position, here = self._state_at_line[0], self._machine.modes.position
         for axis in range(len(position)):
             if self._in_steps(axis, here[axis]) != self._in_steps(axis, position[axis]):
-                raise CannotEnter("the tool is not where the start line begins")
+                raise CannotEnter("the tool is not where that line begins")
         coords = self._machine.coords
         for i in range(len(self._offsets_at_line)):
             if list(coords.systems[i]) != list(self._offsets_at_line[i]):

@@ -256,4 +256,6 @@ class PCNT:
             return  # missed, for a test
         self._value += sign
         if not self._range[0] < self._value < self._range[1]:
-            raise OverflowError("the counter begins at 0 again, and no handler is called")
+            raise OverflowError(
+                "the counter has overflowed: it restarts at 0 without calling a handler"
+            )
