@@ -187,11 +187,11 @@ class Suspension:
 
     def _retract(self) -> "Iterator[None]":
         """Routine: after a hold by door or sleep, park if the board does, and switch spindle and
-        coolant off. A request to start it again (RESTART_RETRACT) is thereby done."""
+        coolant off. A request to start this routine again (RESTART_RETRACT) is done by it."""
         state = self._state
-        state.stop_override = 0
+        state.stop_override = 0  # ends a spindle stop (0x9E)
         if self._parks:
-            yield from self._park()
+            yield from self._park()  # stops spindle and coolant on its way up
         else:
             self._stop_accessories()
         state.suspend &= ~st.RESTART_RETRACT

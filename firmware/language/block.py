@@ -260,10 +260,11 @@ def read(
 
 @micropython.viper
 def _begin(ints: ptr32, xyz: ptr32, axes: int, singles: ptr32, modal: ptr32) -> int:
-    """Clear a block (ints, xyz, singles) and copy the modal state into ints. Returns 0."""
+    """Clear a block and copy the modal state into its ints. singles: the numbers of words that
+    are no axis words. Returns 0."""
     for i in range(axes):
         xyz[i] = 0
-    for i in range(b.TOOL_LIMIT):  # constants follow
+    for i in range(b.TOOL_LIMIT):  # from there on are constants, which no line changes
         singles[i] = 0
     for i in range(mode.MODAL_ROOM):  # after MODAL_LENGTH, modal is 0: that clears the rest
         ints[i] = modal[i]

@@ -223,8 +223,8 @@ def end_on_step(flow: ptr32, row: ptr32, distance: int, ticks: int) -> int:
     rest = distance & _STEP_FRACTION
     flow[PARTIAL_STEP] = rest
     flow[SPARE_TICKS] = 0
-    if rest > STEP_BIAS and steps:  # else it ends on a step already, or has none
-        part = int(share(steps << 18, distance))  # in 2**-17
+    if rest > STEP_BIAS and steps:  # else it ends as close to a step as can be, or has none
+        part = int(share(steps << 18, distance))  # whole steps / distance, in 2**-17
         # ticks * part >> 17, in halves so that the products fit.
         whole_ticks = (((ticks >> 15) * part) >> 2) + (((ticks & 32767) * (part >> 2)) >> 15)
         flow[SPARE_TICKS] = ticks - whole_ticks

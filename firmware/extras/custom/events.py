@@ -310,7 +310,8 @@ class Events:
         if not self._failure_causes_welcome:
             self._failed.clear()
         self._failure_causes_welcome = False
-        # Not _emit(): also when check mode ends, whose reset has cleared the tool length offset.
+        # _emit() drops events in check mode. This one is due even then, because the reset that
+        # ends check mode clears the tool length offset.
         self._queue("after_reset" if self._has_started else "startup")
         self._has_started = True
 

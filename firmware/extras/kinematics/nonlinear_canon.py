@@ -124,8 +124,8 @@ class NonlinearCanon(Canon):
     def _plan_line(self, target: "array[float]", move: "Move") -> None:
         """Plan a line or an arc as chords, as Canon._plan_line() plans lines. target: mm.
 
-        An alarm stops it if a chord is out of reach, or outside the soft limits. The machine is
-        serviced between chords, so a reset or a contact may end it.
+        stop_with_alarm() raises Abort if a chord is out of reach, or outside the soft limits. The
+        machine is serviced between chords, so a reset or a contact may end it, too.
         """
         state, planner, course = self._state, self.planner, self.planner.course
         arc, self._arc = self._arc, None

@@ -153,9 +153,9 @@ def set_max_entry(table: ptr32, ring: ptr32, at: int, before: int) -> int:
     """Set a block's MAX_ENTRY_SQR from its corner, its rate and the rate of the block before.
     Returns 0.
 
-    Corner and rate are lowered by what the average is faster than the plan. Exceptions: a straight
-    line or equal rates; two blocks with _RATE_LIMITED, whose squared rates are within 1/8; a
-    corner of the grid.
+    Corner and rate are lowered by the excess of the average over the plan. Exceptions: equal
+    rates, and as such two blocks with _RATE_LIMITED whose squared rates differ by 1/8 at most; a
+    corner of the grid, or none.
     """
     junction = ring[at + JUNCTION_SQR]
     entry = ring[at + NOMINAL_SQR]  # the lower one of the two rates, squared,

@@ -229,11 +229,11 @@ class NetLink:
         return 0
 
     def _note_unchecked(self, driver: Client, buf: bytearray, count: int, now_ms: int) -> int:
-        """Note what the client in control sends unchecked: a ?, to which it is sent a report, and
-        the time of a line that is not read-only. Returns count, for the caller to return."""
+        """Note of bytes that are passed on unchecked whether they ask for a report (?), and the
+        time of those that are more than one read-only line. Returns count, for the caller."""
         if asks(buf, count):
             driver.asked = True
-        # READ_ONLY_LINES has the read-only lines; plain() removes a ?, and b"" is one of them.
+        # plain() removes ? and line ends. Of a lone ? nothing is left; READ_ONLY_LINES has b"".
         if count > _LONGEST_READ_ONLY or plain(buf[:count]) not in READ_ONLY_LINES:
             driver.last_line_ms = now_ms
         return count

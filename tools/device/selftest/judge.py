@@ -169,7 +169,8 @@ def _turns(facts: list[Fact]) -> Iterator[Row]:
             yield Row(what, False, "no reversal was seen")
             continue
         good = min(ticks) * TICK_US >= asked_us - _EXACT_TICKS * TICK_US
-        text = f"shortest time {_us(min(ticks)):g} us in {len(ticks)} reversals; {asked_us} us required"
+        text = f"shortest time {_us(min(ticks)):g} us in {len(ticks)} reversals; "
+        text += f"{asked_us} us required"
         yield Row(what, good, text, {"us": _us(min(ticks)), "asked_us": asked_us})
 
 
