@@ -94,8 +94,8 @@ def _ramps(values: Mapping[int, float], found: Firmware) -> Findings:
             todo = f"raise the acceleration, ${120 + axis}"
             yield Finding("acceleration", NOTE, text, todo)
         elif seconds > _LONG_RAMP_S:
-            text = f"{letter} takes {seconds:.1f} s to reach its highest rate: "
-            text += "it will be slow in every corner"
+            text = f"{letter} takes {seconds:.1f} s "
+            text += "to reach its highest rate: it will be slow in every corner"
             todo = f"raise ${120 + axis} in steps until it loses steps, then halve it"
             yield Finding("acceleration", NOTE, text, todo)
 
