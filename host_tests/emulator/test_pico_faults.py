@@ -168,7 +168,7 @@ _GOOD = "ENGINE = 'pio'\nSTEP = (2, 3, 4)\nDIR = (5, 6, 7)\n"
     [
         ({"motion/planner.mpy": None}, "no module named 'motion.planner'"),
         ({"board.py": _GOOD.replace("7", "2").encode()}, "DIR: pin 2 is STEP already"),
-        ({"board.py": _GOOD.replace("4", "40").encode()}, "STEP: there is no pin 40"),
+        ({"board.py": _GOOD.replace("4", "40").encode()}, "STEP: this chip has no pin 40"),
         (
             {"board.py": _GOOD.replace("pio", "steam").encode()},
             "ENGINE must be i2s, pio or rmt, not steam",
