@@ -18,6 +18,7 @@ from micropython import const
 from extras.custom import handlers
 from extras.custom.machine_api import STATES
 from extras.custom.positions import Position
+from extras.custom.runner import MAY_MOVE
 from extras.custom.synced_words import SyncedWords
 
 TYPE_CHECKING = const(False)
@@ -36,7 +37,6 @@ if TYPE_CHECKING:
 
 _INPUT = "input "  # before an input's name
 _LONGEST_QUEUE = const(16)  # events waiting for their handlers; later ones are dropped
-_MAY_MOVE = const(True)  # of a handler; the others run during motion
 # Bytes of stack that may be in use when a handler during motion starts. Its own calls and
 # interrupts need the rest.
 _STACK_BYTES = const(3712)  # in use at most
@@ -148,7 +148,7 @@ class Events:
                 if name in _WELCOME_EVENTS:
                     self._run_reset_handler(what, function)
                 else:
-                    self._runner.run(what, function, _MAY_MOVE, values, parameters)
+                    self._runner.run(what, function, MAY_MOVE, values, parameters)
 
     def _run_reset_handler(self, what: str, function: "Function") -> None:
         """Run a handler after a welcome.
@@ -159,7 +159,7 @@ class Events:
         if function in self._failed:
             return
         try:
-            self._runner.run(what, function, _MAY_MOVE)
+            self._runner.run(what, function, MAY_MOVE)
         finally:
             if self._state.alarm not in _NOT_BY_HANDLER:
                 self._failed.append(function)
@@ -185,7 +185,7 @@ class Events:
                 name, values = self._due_during_motion.pop(0)
                 fields = []
                 for what, function in self._handlers[name]:
-                    result = self._runner.run(what, function, not _MAY_MOVE, values)
+                    result = self._runner.run(what, function, not MAY_MOVE, values)
                     text = _text(result) if name == handlers.REPORT else ""
                     if text:
                         fields.append(text)
@@ -205,7 +205,7 @@ class Events:
             period_ms, last_call, what, function = timer
             if port.elapsed_ms(last_call) >= period_ms:
                 timer[1] = port.ticks_ms()  # last_call
-                self._runner.run(what, function, not _MAY_MOVE)
+                self._runner.run(what, function, not MAY_MOVE)
 
     def _detect_changes(self) -> None:
         """Find changes of state and inputs, and emit their events: the machine has no hooks for

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from extras.custom.handlers import Function
     from extras.custom.machine_api import MachineApi
 
+MAY_MOVE = const(True)  # of a handler; the others run during motion
 TRACE = "custom"  # the name under which the last traceback's end is stored
 _TRACE_LINES = const(12)  # a recursion that fills the stack has many equal lines
 # A handler that takes so long without a call of m is reported, also if it is garbage collection.

@@ -9,6 +9,8 @@ from base.float32 import vector
 from micropython import const
 from motion.layout import HEAD, ROWS, TAIL
 
+from extras.custom.runner import MAY_MOVE
+
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from typing import Any
@@ -20,7 +22,6 @@ if TYPE_CHECKING:
 
 _FAR_MM = const(1_000_000)  # outside of every machine: no distance has been measured yet
 
-_MAY_MOVE = const(True)  # of a handler; these run during motion
 
 # Indices of a waiting word's fields.
 _BLOCKS_BEFORE = const(0)  # number of blocks before it that the engine has not read
@@ -62,7 +63,7 @@ class SyncedWords:
         waiting = self.waiting
         while waiting and waiting[0][_BLOCKS_BEFORE] == 0 and self._is_reached(waiting[0]):
             what, function, given = waiting.pop(0)[_FIRST_OF_CALL:]
-            self._runner.run(what, function, not _MAY_MOVE, (), given)
+            self._runner.run(what, function, not MAY_MOVE, (), given)
 
     def _subtract_read_blocks(self) -> None:
         """Subtract from each word's blocks those that the engine has read since the last call."""

@@ -16,7 +16,7 @@ from micropython import const
 from extras.custom import handlers
 from extras.custom.events import Events
 from extras.custom.machine_api import MachineApi
-from extras.custom.runner import TRACE, Runner
+from extras.custom.runner import MAY_MOVE, TRACE, Runner
 from extras.custom_codes import key_of
 
 TYPE_CHECKING = const(False)
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 
 _API = "ugrbl"  # custom.py imports handlers.py under this name
 
-_MAY_MOVE = const(True)  # of a handler
 
 _found: "dict[str, Any]" = {}  # prepare() stores here what install() needs
 
@@ -172,6 +171,6 @@ class Custom:
             if sync is False:
                 self._events.defer(what, function, given)
             else:
-                self._runner.run(what, function, _MAY_MOVE, (), given)
+                self._runner.run(what, function, MAY_MOVE, (), given)
 
         return call
