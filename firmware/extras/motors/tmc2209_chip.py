@@ -115,12 +115,12 @@ class Chip:
                 why = "no echo: its serial wire is cut"
             elif len(answer) < _ANSWER_BYTES:
                 why = "no answer: is the motors' supply on?"
-            elif checksum(answer[:_CHECKSUM_AT]) != answer[_CHECKSUM_AT]:
-                why = "a corrupted answer"
-            elif answer[:_VALUE_AT] != begins_with:
-                why = "a corrupted answer"
-            else:
+            elif checksum(answer[:_CHECKSUM_AT]) == answer[_CHECKSUM_AT] and (
+                answer[:_VALUE_AT] == begins_with
+            ):
                 return int.from_bytes(answer[_VALUE_AT:_CHECKSUM_AT], "big")
+            else:
+                why = "a corrupted answer"
         raise Silence(why)
 
     def _write(self, register: int, value: int) -> None:
