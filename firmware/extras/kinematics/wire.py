@@ -92,8 +92,7 @@ def prepare(options: "Options", board: "ModuleType") -> None:
 def install(cnc: "Cnc") -> None:
     """Hook the feed rate into planning, and the four axes into $H."""
     machine: "Any" = cnc.machine
-    planner, canon, hooks = machine.planner, machine.canon, machine.state.hooks
-    canon.engine, canon.modes, canon.coords = machine.engine, machine.modes, machine.coords
+    planner, hooks = machine.planner, machine.state.hooks
     planner.move_hook = planner.plan_line
     previous: "Callable[[int], bool]" = hooks.home
 
