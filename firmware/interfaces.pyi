@@ -503,7 +503,8 @@ class Options(Protocol):
 
 class Extra(Protocol):
     """A module of extras/, or a user's. It may have PINS, the board file's options that name its
-    pins; and prepare(options, board), called before the machine is built."""
+    pins; EXCLUDED, its own option and those not allowed with it; and prepare(options, board),
+    called before the machine is built."""
 
     def install(self, cnc: Cnc) -> None:
         """Change the machine, once it is built."""

@@ -80,6 +80,7 @@ class Options:
         self.highest_tool = HIGHEST_TOOL
         self.line_length = LINE_LENGTH
         for extra in self.extras:
+            select_extras.check_excluded(extra, board)
             if hasattr(extra, "prepare"):
                 extra.prepare(self, board)
 

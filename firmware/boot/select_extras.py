@@ -122,6 +122,15 @@ def import_extras(asked: "list[str]") -> "list[Extra]":
     return [__import__(name, None, None, ("install",)) for name in asked]
 
 
+def check_excluded(extra: "Extra", board: "ModuleType") -> None:
+    """Raise ValueError if the board file sets an option that the extra excludes. EXCLUDED of an
+    extra: its own option, then those excluded."""
+    excluded: "tuple[str, ...]" = getattr(extra, "EXCLUDED", ())
+    for word in excluded[1:]:
+        if board.__dict__.get(word):
+            raise ValueError("%s and %s are not for the same machine" % (excluded[0], word))
+
+
 def pin_options(board: "ModuleType") -> "tuple[str, ...]":
     """Return the names of the board file's entries with pins of the selected extras."""
     options: "tuple[str, ...]" = ()

@@ -93,7 +93,7 @@ def _excluded() -> dict[str, tuple[str, ...]]:
     from extras.kinematics import skew
     from extras.motors import backlash
 
-    return {"BACKLASH": backlash._EXCLUDED, "SKEW": skew._EXCLUDED}
+    return {extra.EXCLUDED[0]: extra.EXCLUDED[1:] for extra in (backlash, skew)}
 
 
 def _board(name: str) -> dict[str, Any]:

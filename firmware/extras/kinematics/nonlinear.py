@@ -24,8 +24,9 @@ if TYPE_CHECKING:
 
     from extras.api import Cnc
 
-# Options that exclude KINEMATICS, and the names that the geometry module must have.
-_EXCLUDED = ("COREXY", "MOVES", "MOTORS", "ROTARY", "JERK", "CLUSTERS")
+# KINEMATICS, and the options not allowed with it.
+EXCLUDED = ("KINEMATICS", "COREXY", "MOVES", "MOTORS", "ROTARY", "JERK", "CLUSTERS")
+# Names that the geometry module must have.
 _REQUIRED = ("inverse", "forward", "START", "HOME", "TRAVEL", "CENTRED", "FASTEST")
 
 
@@ -47,11 +48,7 @@ def _geometry(name: str, axes: int) -> "Geometry":
 
 def prepare(options: "Options", board: "ModuleType") -> None:
     """Select kinematics, planner, canon and homing. ValueError if the board file is wrong."""
-    option = board.__dict__.get
-    for word in _EXCLUDED:
-        if option(word):
-            raise ValueError("KINEMATICS and %s are not for the same machine" % word)
-    geometry = _geometry(option("KINEMATICS", ""), options.axes)
+    geometry = _geometry(board.__dict__.get("KINEMATICS", ""), options.axes)
     options.kinematics = NonlinearKinematics(options.axes, geometry)
     options.planner = NonlinearPlanner
     options.canon, options.homing_probing = NonlinearCanon, NonlinearHoming

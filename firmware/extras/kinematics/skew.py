@@ -48,7 +48,7 @@ _NUMBERS = (780, 781, 782)
 _MOST_MM_PER_M = const(100)  # the largest skew
 _PER_M = 1000.0
 _FACTOR_BITS = const(28)
-_EXCLUDED = ("KINEMATICS", "ROTARY", "BACKLASH", "JERK", "CLUSTERS")
+EXCLUDED = ("SKEW", "KINEMATICS", "ROTARY", "BACKLASH", "JERK", "CLUSTERS")
 
 
 class SkewKinematics(Kinematics):
@@ -171,10 +171,7 @@ class SkewPlanner(Planner):
 
 
 def prepare(options: "Options", board: "ModuleType") -> None:
-    """Select kinematics and planner. ValueError if the board file does not allow them."""
-    for word in _EXCLUDED:
-        if board.__dict__.get(word):
-            raise ValueError("SKEW and %s are not for the same machine" % word)
+    """Select kinematics and planner. ValueError if a default is out of range."""
     for number in _NUMBERS:
         if not abs(options.defaults.get(number, 0.0)) <= _MOST_MM_PER_M:
             raise ValueError("DEFAULTS: $%d may be at most %d mm/m" % (number, _MOST_MM_PER_M))

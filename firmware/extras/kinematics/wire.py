@@ -31,8 +31,9 @@ _XY = const(1 << X | 1 << Y)  # masks of axes
 _UV = const(1 << _U | 1 << _V)
 _ALL = const(_XY | _UV)
 _AXES = const(4)
-# They move Z, or name motors by other letters.
-_EXCLUDED = (
+# The others move Z, or name motors by other letters.
+EXCLUDED = (
+    "XYUV",
     "COREXY",
     "MOVES",
     "MOTORS",
@@ -82,9 +83,6 @@ def prepare(options: "Options", board: "ModuleType") -> None:
     """Select planner, canon and the letters of axes. ValueError if the board file is wrong."""
     if options.axes != _AXES:
         raise ValueError("XYUV needs four pins in STEP and in DIR: for X, Y, U and V")
-    for word in _EXCLUDED:
-        if board.__dict__.get(word):
-            raise ValueError("XYUV and %s are not for the same machine" % word)
     options.axis_letters = b"XYUV"
     options.planner, options.canon = WirePlanner, WireCanon
 

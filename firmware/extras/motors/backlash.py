@@ -43,7 +43,16 @@ _SETTINGS: "Rows" = (
 _FIRST_SETTING = const(160)
 _MOST_MM = const(5)
 _UNKNOWN = const(-1)  # the axis' position within its slack is unknown
-_EXCLUDED = ("COREXY", "MOVES", "KINEMATICS", "ROTARY", "JERK", "CLUSTERS", "PARKING")
+EXCLUDED = (
+    "BACKLASH",
+    "COREXY",
+    "MOVES",
+    "KINEMATICS",
+    "ROTARY",
+    "JERK",
+    "CLUSTERS",
+    "PARKING",
+)
 
 
 class BacklashKinematics(Kinematics):
@@ -282,10 +291,7 @@ class BacklashCanon(Canon):
 
 
 def prepare(options: "Options", board: "ModuleType") -> None:
-    """Select planner, canon and kinematics. ValueError if the board file does not allow them."""
-    for word in _EXCLUDED:
-        if board.__dict__.get(word):
-            raise ValueError("BACKLASH and %s are not for the same machine" % word)
+    """Select planner, canon and kinematics. ValueError if a default is out of range."""
     for i in range(options.axes):
         if not 0 <= options.defaults.get(_FIRST_SETTING + i, 0.0) <= _MOST_MM:
             raise ValueError("DEFAULTS: $%d may be at most %d mm" % (_FIRST_SETTING + i, _MOST_MM))
