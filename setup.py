@@ -29,7 +29,7 @@ def package_dir() -> dict[str, str]:
 
 
 class WithCompiledFirmware(build_py):
-    """Whoever has the package needs no compiler: see tools/compiling/build.py."""
+    """The package includes compiled firmware, so a user needs no compiler."""
 
     def run(self) -> None:
         # Else what an older build has left there would be in the package, too.

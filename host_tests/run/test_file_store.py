@@ -141,7 +141,7 @@ def test_a_file_created_by_another_program_is_not_overwritten(path: Path) -> Non
 
 
 def test_a_failed_save_leaves_no_temporary_file(path: Path, monkeypatch: Any) -> None:
-    """A new file is written beside the old one and replaces it; here the disk is full."""
+    """A new file is written next to the old one, then replaces it; here the disk is full."""
     FileStore(path).save("settings", ["$0=10"])
     store = FileStore(path)
 

@@ -194,7 +194,7 @@ def test_a_laser_is_off_in_a_hold_whatever_lines_come(line: str) -> None:
     lit_ms: "list[float]" = []
 
     def script() -> "Iterator[Any]":
-        """Hold a move with the laser on, with 2000 lines behind the `!`; measure how long it
+        """Hold a move with the laser on, with 2000 lines after the `!`; measure how long it
         burns."""
         yield from sender.wait("banner", "")
         for text in ("$32=1", "M3S500", "G1X50F600"):

@@ -96,7 +96,7 @@ def test_homing_in_wrong_direction_is_stopped_and_reversed(mechanic):
     for axis in range(3):
         mechanic.sets_up_motor(axis)
     mechanic.task("Homing")
-    # X is told to home towards its lower end, where it has no switch.
+    # X is set to home towards its lower end, where it has no switch.
     mechanic.page.select_option("#guide-end-X", "-")
     mechanic.page.fill("#guide-seek", "600")
     mechanic.click("#guide-use")

@@ -63,7 +63,7 @@ def find_line(memory: ptr32) -> int:
     """Return the address of line_state, or 0 if no words look like TinyUSB's struct. memory: the
     chip's RAM as words."""
     for i in range(_MEMORY_WORDS - 3 * _FIFO_WORDS_MOST):
-        # If the struct begins at word i, the first FIFO is here, and its first word points behind
+        # If the struct begins at word i, the first FIFO is here, and its first word points past
         # the second one.
         here = _MEMORY + 4 * (i + _FIFOS)
         first_data = memory[i + _FIFOS]
