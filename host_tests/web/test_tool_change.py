@@ -27,9 +27,10 @@ def pauses_at_change(person, job=_JOB):
 
 
 def goes_on(person):
-    """Confirm the tool change and wait until the job continues."""
+    """Confirm the tool change and wait until the job continues, maybe up to the next change."""
+    person.page.evaluate("window.confirmed = toolPause")
     person.click("#tool-go")
-    person.waits("document.getElementById('tool-change').hidden")
+    person.waits("toolPause !== confirmed")
 
 
 def programs_lines(person):
@@ -86,6 +87,22 @@ def test_machine_is_jogged_and_zeroed_in_change_and_returns_to_its_place(person)
     # Up before across.
     assert lines.index("G0 Z5", lines.index("T2 M6")) < lines.index("G0 X20 Y4")
     assert person.machine.report()[1] == [0, 0, 0], "machine coordinates of Z5 by the new zero"
+
+
+def test_return_starts_from_zero_that_was_set_just_before_confirmation(person):
+    """Z is set to zero at Z5 and the change is confirmed before the page has heard of either."""
+    pauses_at_change(person)
+    person.page.evaluate("grbl.send('G10 L20 P1 Z0'); document.getElementById('tool-go').click()")
+    person.waits("document.getElementById('tool-change').hidden")
+    person.reads("#job-words", "Job done: nothing refused")
+    lines = person.machine.lines()
+    assert "G0 Z5" in lines[lines.index("T2 M6") : lines.index("T2")]
+
+
+def test_confirmation_is_possible_while_page_asks_for_modes(person):
+    pauses_at_change(person)
+    script = "() => { grbl.send('$G', true); renderAll(); return $('tool-go').disabled; }"
+    assert person.page.evaluate(script) is False
 
 
 def test_modes_are_restored_after_change(person):

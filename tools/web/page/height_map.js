@@ -59,15 +59,15 @@ async function probeHeights() {
   const grid = heightGrid();
   if (!grid) throw new Error(t`Open a program that cuts something first.`);
   const offset = inMm(grbl.offset)[2] || 0, z = grid.y.map(() => []), up = `G90 G0 ${word("Z", probeValue("up"))}`;
-  await probeSend([up]);
+  await sendLines([up]);
   for (const [row, y] of grid.y.entries()) {
     const columns = [...grid.x.entries()];
     if (row % 2) columns.reverse(); // alternate rows run backwards
     for (const [column, x] of columns) {
       $("probe-says").textContent = t`Point ${row * grid.x.length + (row % 2 ? grid.x.length - column : column + 1)} of ${grid.x.length * grid.y.length} …`;
-      await probeSend([`G0 ${word("X", x)} ${word("Y", y)}`, `G91 G38.2 ${word("Z", -probeValue("far"))} F${probeValue("feed")}`]);
+      await sendLines([`G0 ${word("X", x)} ${word("Y", y)}`, `G91 G38.2 ${word("Z", -probeValue("far"))} F${probeValue("feed")}`]);
       z[row][column] = touched()[2] - offset;
-      await probeSend([up]);
+      await sendLines([up]);
     }
   }
   setHeights({ ...grid, z });

@@ -32,6 +32,11 @@ function outlineLines([low, high], feed, { up, laser }) {
 $("outline").onclick = async () => {
   const box = cutBox(program.path);
   if (!box) return trouble(t`The program cuts nothing: there is no outline.`);
+  try {
+    await readAtRest();
+  } catch (error) {
+    return trouble(error.message);
+  }
   const [low, high] = box, isLaser = grbl.setting(32) === 1, z = grbl.workMm()[2];
   const { highest } = program.readTo(program.lines.length + 1), up = Number.isFinite(highest) && highest > z ? highest : null;
   const laser = isLaser ? Math.max(1, Math.round(OUTLINE_POWER * (grbl.setting(30) || 1000))) : null;

@@ -80,16 +80,23 @@ function touched() {
   return success === "1" ? inMm(place.split(",").map(Number)) : null;
 }
 
+/** Wait until the lines sent before are executed, then read state, position, pins and offsets.
+ * Until then the last report may be of the place before a move, the offsets of before a G10. */
+async function readAtRest() {
+  await sendLines(["G4 P0"]);
+  grbl.now(STATUS);
+  await sendLines(["G4 P0"]); // its answer comes after the report
+  await grbl.send("$#", true);
+}
+
 /** Run a probing in mm and relative coordinates, then restore G20 and G90. Throws an Error for the user. */
 async function probeRun(act) {
-  await probeSend(["G4 P0"]); // the last status may show the contact before a move that is not over
-  grbl.now(STATUS);
-  await probeSend(["G4 P0"]); // its answer comes after that of the question
+  await readAtRest();
   if (grbl.pins.includes("P")) throw new Error(t`The probe touches already. Lift the tool, or turn $6 round.`);
   const before = ["G20", "G90"].filter((mode) => grbl.modes.includes(mode));
   probing = true;
   try {
-    await probeSend(["G21 G91"]);
+    await sendLines(["G21 G91"]);
     await act();
   } finally {
     probing = false;
@@ -97,7 +104,7 @@ async function probeRun(act) {
   }
 }
 
-async function probeSend(lines) {
+async function sendLines(lines) {
   for (const shown of lines) {
     const line = shown.replace(/([XYZ])\(.*?\)/, (_, letter) => word(letter, touched()[AXES.indexOf(letter)]));
     const answer = await grbl.send(line);
@@ -110,21 +117,21 @@ async function probeHole() {
   for (const [axis, letter] of [...AXES.slice(0, 2)].entries()) {
     const ends = [];
     for (const [end, sign] of [-1, 1].entries()) {
-      await probeSend([`G38.2 ${word(letter, sign * probeValue("far") * (end + 1))} F${probeValue("feed")}`]);
+      await sendLines([`G38.2 ${word(letter, sign * probeValue("far") * (end + 1))} F${probeValue("feed")}`]);
       ends[end] = touched()[axis];
-      await probeSend([`G90 G53 G0 ${word(letter, ends[end])}`, "G91", `G0 ${word(letter, -sign * BACK_MM)}`]);
+      await sendLines([`G90 G53 G0 ${word(letter, ends[end])}`, "G91", `G0 ${word(letter, -sign * BACK_MM)}`]);
     }
-    await probeSend([`G90 G53 G0 ${word(letter, (ends[0] + ends[1]) / 2)}`, `G10 L20 P0 ${letter}0`, "G91"]);
+    await sendLines([`G90 G53 G0 ${word(letter, (ends[0] + ends[1]) / 2)}`, `G10 L20 P0 ${letter}0`, "G91"]);
   }
 }
 
 async function probeLength() {
-  await probeSend(touchLines("Z", -1, probeValue("far")));
+  await sendLines(touchLines("Z", -1, probeValue("far")));
   const at = touched()[2];
   if (probeSet.reference === undefined) probeSet.reference = at;
-  else await probeSend([`G43.1 ${word("Z", at - probeSet.reference)}`]);
+  else await sendLines([`G43.1 ${word("Z", at - probeSet.reference)}`]);
   keepProbe();
-  await probeSend([`G0 ${word("Z", probeValue("up"))}`]);
+  await sendLines([`G0 ${word("Z", probeValue("up"))}`]);
 }
 
 function renderProbe() {
@@ -162,7 +169,7 @@ $("probe-run").onclick = async () => {
   const kind = PROBE_KINDS[probeSet.kind], say = (text, tone) => Object.assign($("probe-says"), { textContent: text, className: `small ${tone}` });
   say(t`Probing …`, "");
   try {
-    await probeRun(async () => (kind.run ? kind.run() : probeSend(kind.lines())));
+    await probeRun(async () => (kind.run ? kind.run() : sendLines(kind.lines())));
     say(kind.done?.() || t`Done.`, "good");
   } catch (error) {
     say(error.message, "bad");

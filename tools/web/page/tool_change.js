@@ -96,15 +96,17 @@ $("tool-go").onclick = async () => {
   const pause = toolPause;
   if (probing || pause.goes) return;
   pause.goes = true;
-  for (const line of toolChangeLines()) {
-    const answer = await grbl.send(line);
-    if (toolPause !== pause) return;
-    if (answer !== "ok") {
-      pause.goes = false;
-      return trouble(`${line}\n${explained(answer, line)}`);
+  try {
+    await readAtRest();
+    for (const line of toolChangeLines()) {
+      if (toolPause !== pause) return;
+      await sendLines([line]);
     }
+    if (toolPause === pause) job.toolChanged();
+  } catch (error) {
+    pause.goes = false;
+    trouble(error.message);
   }
-  job.toolChanged();
 };
 $("tool-end").onclick = () => job.end();
 $("tool-up").onclick = () => grbl.send(`$J=G21 G90 ${word("Z", safeZ())} F${zFeed() * (grbl.inches ? MM_PER_INCH : 1)}`);
