@@ -142,11 +142,11 @@ class NonlinearPlanner(Planner):
         self._start_from(self._block_end_steps)  # the same steps are another position now
 
     def _set_joint_limits(self, settings: "AxisLimits", step_hz: int) -> None:
-        """Move resolution, rates and accelerations, which Planner.configure() takes for those of
-        axes, to the joints: motor steps per unit of a joint, units/s, units/s2.
+        """Store the settings per axis as those of joints: motor steps per unit of a joint (which
+        Planner.configure() has put into steps_per_mm), rates in units/s, accelerations, units/s2.
 
-        The planner's own steps_per_mm, and the same in its table, becomes that of the positions
-        that it reports, which are the tool's, in 1/1000 mm.
+        steps_per_mm, and its copy in the table, becomes 1000: the planner's positions are those of
+        the tool, in 1/1000 mm.
         """
         joint_resolution, tool_resolution = self.kinematics.resolution, self.steps_per_mm
         copy(self.steps_per_mm, joint_resolution, self.axes)
@@ -154,8 +154,8 @@ class NonlinearPlanner(Planner):
             self._rates[i] = min(settings.max_rate[i] / 60, step_hz / joint_resolution[i])
             self._accelerations[i] = settings.acceleration[i] / 3600
             tool_resolution[i] = _PER_MM
-        resolution_at = layout.LIMITS + layout.RESOLUTION * self.axes  # index in the table
-        copy(tool_resolution, memoryview(self.table)[resolution_at:], self.axes)
+        table_index = layout.LIMITS + layout.RESOLUTION * self.axes  # of axis 0
+        copy(tool_resolution, memoryview(self.table)[table_index:], self.axes)
 
     def _set_tool_scale(self, settings: "AxisLimits") -> None:
         """Set the scale of the planner's squared speeds: 2**30 is the square of the tool's highest
@@ -207,9 +207,9 @@ class NonlinearPlanner(Planner):
         """
         copy(target, self.place, self.axes)
         copy(self.course.joints, self.joints, self.axes)
-        target_at = layout.LIMITS + layout.TARGET * self.axes  # index in the table
+        table_index = layout.LIMITS + layout.TARGET * self.axes  # of axis 0
         for i in range(self.axes):
-            self.table[target_at + i] = PLACE_BIAS + _parts(target[i])
+            self.table[table_index + i] = PLACE_BIAS + _parts(target[i])
         length = _distance(self._place, target)
         if not self._block(self._block_end_steps, self._joints, self.joints, length, move, power):
             return False
@@ -316,7 +316,8 @@ class NonlinearPlanner(Planner):
         product = sum([(end[i] - begin[i]) * slope[i] for i in range(self.axes)])
         is_bend = product > _BEND_COSINE * pace * length * self._pace  # and not a corner
         per_distance = 2 / (length + self._length)  # from one chord's middle to the next one's
-        rapid, bend_sqr = self._fastest, _NO_LIMIT
+        rapid = self._fastest  # highest speed of the tool, mm/s
+        bend_speed_sqr = _NO_LIMIT  # highest one at which bends are possible, squared
         for i in range(self.axes):
             per_mm = (end[i] - begin[i]) / length
             table[direction + i] = min(int(abs(per_mm) / pace * _UNIT_DIRECTION), _UNIT_DIRECTION)
@@ -325,20 +326,18 @@ class NonlinearPlanner(Planner):
             if per_mm:
                 rapid = min(rapid, self._rates[i] / abs(per_mm))
             if bend:
-                bend_sqr = min(bend_sqr, _BEND_SHARE * self._accelerations[i] / bend)
-        rapid = min(rapid, math.sqrt(bend_sqr))
+                bend_speed_sqr = min(bend_speed_sqr, _BEND_SHARE * self._accelerations[i] / bend)
+        rapid = min(rapid, math.sqrt(bend_speed_sqr))
         rate = self._rate(move, rapid)
-        fast_sqr = min(rapid, 2 * rate) ** 2  # (mm/s)2, the highest: overrides go to 200 %
+        fastest_sqr = min(rapid, 2 * rate) ** 2  # (mm/s)2: overrides go to 200 %
         accel = _NO_LIMIT
         for i in range(self.axes):
             if slope[i]:
                 # What the bend leaves of the joint's acceleration at that speed.
-                available = self._accelerations[i] - self._bends[i] * fast_sqr
+                available = self._accelerations[i] - self._bends[i] * fastest_sqr
                 accel = min(accel, available / abs(slope[i]))
-        ring[at + layout.RAPID], ring[at + layout.ACCEL] = (
-            minifloat.real(rapid),
-            minifloat.real(accel),
-        )
+        ring[at + layout.RAPID] = minifloat.real(rapid)
+        ring[at + layout.ACCEL] = minifloat.real(accel)
         ring[at + layout.RATE] = minifloat.real(rate)
         table[layout.JUNCTION] = minifloat.real(self._deviation / max(pace, self._pace))
         self._pace, self._length = pace, length

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 
 def parse_words(words: "Sequence[str]", axes: int) -> "list[int]":
-    """Return a number for each motor, which axes move it: as in motion/kinematics.py, bit i for
-    axis i, and bit i + REVERSE if the motor turns backwards for it.
+    """Return for each motor a mask of the axes that move it, as in motion/kinematics.py: bit i if
+    axis i turns it forwards, bit i + REVERSE if backwards.
 
     words: those of MOVES; axes: how many there are. ValueError if a word is wrong, or if the axes'
     positions do not follow from the motors'.
@@ -42,15 +42,15 @@ def parse_words(words: "Sequence[str]", axes: int) -> "list[int]":
 
 
 def _motor(word: str, axes: int) -> int:
-    """Return a motor's number (see parse_words()) for its word, such as X-Z. ValueError if the
-    word is wrong."""
+    """Return a motor's mask for its word, such as X-Z: bit i for +axis i, bit i + REVERSE for
+    -axis i. ValueError if the word is wrong."""
     moves = 0
-    shift = 0  # of the next axis' bit: REVERSE after a minus sign
+    shift = 0  # added to the next axis' bit number: REVERSE after a minus sign
     for character in word:
-        axis = LETTERS[:axes].find(character)
+        axis = LETTERS[:axes].find(character)  # -1: no axis, or a sign
         if character in "+-":
             shift = REVERSE if character == "-" else 0
-        elif axis < 0 or (moves | moves >> REVERSE) >> axis & 1:
+        elif axis < 0 or _sign(moves, axis):
             raise ValueError(
                 "MOVES: %s in %s is not an axis, or is listed twice" % (character, word)
             )
@@ -63,7 +63,7 @@ def _motor(word: str, axes: int) -> int:
 def _sign(moves: int, axis: int) -> int:
     """Return the direction in which a motor turns for an axis: 1, -1, or 0 for not at all.
 
-    moves: the motor's number, as _motor() returns it.
+    moves: the motor's mask, as _motor() returns it.
     """
     return (moves >> axis & 1) - (moves >> axis + REVERSE & 1)
 

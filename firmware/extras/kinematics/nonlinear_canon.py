@@ -42,7 +42,7 @@ class NonlinearCanon(Canon):
         """Apply settings, as Canon.configure(). CENTRED axes have travel on both sides of 0."""
         super().configure()
         for axis in self.planner.kinematics.geometry.CENTRED:
-            # SHUT is a mask of the sides that 0 limits: above it, and below it from bit BELOW on.
+            # Bits of SHUT: 0 is the upper limit of axis i (bit i), or the lower (bit i + BELOW).
             self.travel[SHUT] &= ~(1 << axis | 1 << axis + BELOW)
 
     def line(self, target: "array[float]", move: "Move") -> None:
@@ -64,8 +64,8 @@ class NonlinearCanon(Canon):
         because a cancel would come before the jog.
         """
         planner, course = self.planner, self.planner.course
-        # None: a straight line; 0.0: the tolerance, which only chords need.
-        course.start_path(planner.place, planner.joints, target, None, 0.0)
+        # The tolerance does not matter: is_in_reach() cuts no chords.
+        course.start_path(planner.place, planner.joints, target, arc=None, tolerance=0.0)
         if not course.is_in_reach():
             self._refuse(errors.TRAVEL_EXCEEDED)
         super().jog(target, move)
@@ -76,10 +76,10 @@ class NonlinearCanon(Canon):
         ints, xyz, code = self.block.ints, self.block.xyz, errors.GCODE_INVALID_TARGET
         start = self.modes.position
         if ints[b.NON_MODAL] in (b.GO_G28, b.GO_G30):
-            if ints[b.AXIS_USE]:  # it has axis words
+            if ints[b.AXIS_USE]:  # it has axis words: motion goes to xyz first
                 self.check(start, xyz, None, code)
                 start = xyz
-            self.check(start, self.block.stored, None, code)  # the position of G28 or G30
+            self.check(start, self.block.stored, None, code)  # then to the position of G28 or G30
         elif ints[b.AXIS_USE] == b.AXES_FOR_MOTION and ints[b.WORDS] & b.AXIS_WORDS:
             is_arc = ints[MOTION] in (b.CW_ARC, b.CCW_ARC)
             self.check(start, xyz, self.block.arc if is_arc else None, code)
@@ -93,8 +93,8 @@ class NonlinearCanon(Canon):
         All its chords are checked. The machine is serviced meanwhile, because that takes long.
         """
         planner, course = self.planner, self.planner.course
-        joints = vector(planner.axes)  # those at start: inverse() finds the solution nearest to
-        copy(planner.joints, joints, planner.axes)  # what the array has before
+        joints = vector(planner.axes)
+        copy(planner.joints, joints, planner.axes)  # inverse() finds the solution nearest to these
         is_in_reach = planner.kinematics.geometry.inverse(start, joints)
         course.start_path(start, joints, target, arc, self._settings.arc_tolerance_mm)
         while is_in_reach and course.has_next():
@@ -124,13 +124,14 @@ class NonlinearCanon(Canon):
     def _plan_line(self, target: "array[float]", move: "Move") -> None:
         """Plan a line or an arc as chords, as Canon._plan_line() plans lines. target: mm.
 
-        stop_with_alarm() raises Abort if a chord is out of reach, or outside the soft limits. The
-        machine is serviced between chords, so a reset or a contact may end it, too.
+        stop_with_alarm() raises Abort if a chord is out of reach, or outside the soft limits; of
+        a line only its target is compared with these, because they are a box. The machine is
+        serviced between chords, so a reset or a contact may end it, too.
         """
         state, planner, course = self._state, self.planner, self.planner.course
         arc, self._arc = self._arc, None
-        has_limits = state.run != st.JOG and not self._is_jog  # a jog has been checked before
-        if has_limits and self.outside(target):
+        limits_apply = state.run != st.JOG and not self._is_jog  # a jog has been checked before
+        if limits_apply and self.outside(target):
             self.stop_with_alarm(errors.ALARM_SOFT_LIMIT)
         if state.run == st.CHECK:
             return
@@ -143,7 +144,7 @@ class NonlinearCanon(Canon):
         planner.synced = False
         has_steps = False  # becomes True with the first chord that has steps
         while course.has_next():
-            if not course.next_chord() or (arc and has_limits and self.outside(course.place)):
+            if not course.next_chord() or (arc and limits_apply and self.outside(course.place)):
                 self.stop_with_alarm(errors.ALARM_SOFT_LIMIT)
             self.service()
             self.wait_for_room()

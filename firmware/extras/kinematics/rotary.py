@@ -105,7 +105,7 @@ class RotaryCanon(Canon):
         """Apply settings, as Canon.configure(). Endless axes have no limit of travel."""
         super().configure()
         for axis in self.endless():
-            # SHUT is a mask of the sides that 0 limits: above it, and below it from bit BELOW on.
+            # Bits of SHUT: 0 is the upper limit of axis i (bit i), or the lower (bit i + BELOW).
             self.travel[SHUT] &= ~(1 << axis | 1 << axis + BELOW)
             self.limit(axis, _EXACT_STEPS / self.planner.steps_per_mm[axis])
             arcs.limit(self.course, axis, -arcs.FARTHEST, arcs.FARTHEST)
@@ -115,7 +115,7 @@ class RotaryCanon(Canon):
         return [axis for axis in self.axes if not self._settings.max_travel[axis]]
 
     def outside(self, target: "array[float]") -> bool:
-        """Return Canon.outside(), which jogs ask for. Unwind endless axes first."""
+        """Return Canon.outside(), after unwinding endless axes: a jog is checked by this."""
         self._unwind(target)
         return super().outside(target)
 
@@ -134,27 +134,27 @@ class RotaryCanon(Canon):
         """
         planner, state = self.planner, self._state
         for axis in self.endless():
-            exact = _EXACT_STEPS / planner.steps_per_mm[axis]  # the farthest exact position
-            if not abs(target[axis]) > exact:
+            farthest = _EXACT_STEPS / planner.steps_per_mm[axis]  # exact position, degrees
+            if not abs(target[axis]) > farthest:
                 continue
-            turns = self._whole_turns(axis, target)  # in degrees
-            if turns and state.run != st.CHECK:  # in check mode only the numbers change
+            degrees = self._whole_turns(axis, target)
+            if degrees and state.run != st.CHECK:  # in check mode only the numbers change
                 while not planner.empty() or self._motor_control.moving:
                     self.auto_start()  # else planned lines would not be executed yet
                     self.service()
-                turns = self._whole_turns(axis, target)  # a hold may have ended the motion
-                self._subtract(axis, turns)
-            if turns:
-                target[axis] -= turns
-                self.modes.position[axis] -= turns
+                degrees = self._whole_turns(axis, target)  # a hold may have ended the motion
+                self._subtract(axis, degrees)
+            if degrees:
+                target[axis] -= degrees
+                self.modes.position[axis] -= degrees
                 g92 = array("f", self.coords.g92)
-                g92[axis] -= turns
+                g92[axis] -= degrees
                 self.coords.set_g92(g92)
                 state.wco_countdown = 0  # the next status report has the offsets
                 state.invalidate_lines()
             # Allow this line's target, which may still be beyond, as far as any axis may go.
             allowed = min(abs(target[axis]), planner.reach_mm(axis))
-            self.limit(axis, max(allowed, exact))
+            self.limit(axis, max(allowed, farthest))
 
     def _whole_turns(self, axis: int, target: "array[float]") -> float:
         """Return the whole turns to subtract from an axis, in degrees: those in the position at

@@ -148,8 +148,8 @@ class SkewPlanner(Planner):
         """Plan an arc's chords, as Planner.chords(), to positions of motors."""
         if not moves or not self.kinematics.active:  # moves is False in check mode
             return super().chords(course, move, power, moves)
-        per_arc = self.flow[layout.ROWS] + 1  # index in speeds; the kernel copies it per chord
-        self.speeds[per_arc] = move.spindle_rpm
+        arc_index = self.flow[layout.ROWS] + 1  # where the kernel reads the speed of all chords
+        self.speeds[arc_index] = move.spindle_rpm
         return kernel.follow_arc(
             course,
             self.table,
@@ -175,8 +175,9 @@ def prepare(options: "Options", board: "ModuleType") -> None:
     for number in _NUMBERS:
         if not abs(options.defaults.get(number, 0.0)) <= _MOST_MM_PER_M:
             raise ValueError("DEFAULTS: $%d may be at most %d mm/m" % (number, _MOST_MM_PER_M))
-    given: "Any" = options.kinematics or Kinematics(options.axes, ())
-    options.kinematics = SkewKinematics(options.axes, given.moves, given.alone)
+    # moves=(): each motor moves one axis.
+    selected: "Any" = options.kinematics or Kinematics(options.axes, moves=())
+    options.kinematics = SkewKinematics(options.axes, selected.moves, selected.alone)
     options.planner = SkewPlanner
 
 
@@ -190,7 +191,7 @@ def install(cnc: "Cnc") -> None:
     planner.move_hook = planner.plan_skewed
 
     def resync() -> None:
-        """Read positions again, from the motors, if a setting has changed the skew."""
+        """If a setting has changed the skew, compute positions again from those of the motors."""
         if planner.is_new:
             planner.is_new = False
             machine.resync()

@@ -57,14 +57,14 @@ class WirePlanner(RotaryPlanner):
     ) -> int:
         """Plan a line, as Planner.plan(). rate: of the faster end of the wire, a real, mm/s.
 
-        Planner.plan() needs the rate along the path of all four axes, which is longer than that of
-        one end by the factor of stretch(); 0 is an end that does not move.
+        Planner.plan() needs the rate along the path of all four axes. Its length is that of one
+        end's path times the factor of stretch(), which is 0 for an end that does not move.
         """
         if not flags & ITS_OWN_RATE:
-            first = stretch(target, self.table, self.ring, self.flow, _XY)
-            second = stretch(target, self.table, self.ring, self.flow, _UV)
-            # The end with the longer way has the smaller factor.
-            factor = min(first, second) or max(first, second)
+            xy_factor = stretch(target, self.table, self.ring, self.flow, _XY)
+            uv_factor = stretch(target, self.table, self.ring, self.flow, _UV)
+            # The end with the longer path has the smaller factor, if that is not 0.
+            factor = min(xy_factor, uv_factor) or max(xy_factor, uv_factor)
             rate = minifloat.mul(rate, factor)
         return self.plan(target, flags, line, power, rate)
 
