@@ -171,7 +171,8 @@ class BacklashCanon(Canon):
         if self.active and state.run != st.CHECK:
             # A program's target outside the travel is left to Canon._plan_line(), which raises
             # the alarm; a jog's has been checked.
-            if state.run == st.JOG or self._is_jog or not self.outside(target):
+            is_jog = state.run == st.JOG or self._is_jog
+            if is_jog or not self.outside(target):
                 to_steps(target, self.planner.table)  # into TARGET
                 if not self._take_up(move):
                     return  # the jog has been cancelled
@@ -188,7 +189,7 @@ class BacklashCanon(Canon):
         self.service()  # reads the link, and raises Abort after a reset
         while course[arcs.CHORDS_LEFT]:
             if arcs.advance(course, table):
-                self.stop_with_alarm(errors.ALARM_SOFT_LIMIT)
+                self.stop_with_alarm(errors.ALARM_SOFT_LIMIT)  # raises Abort
             # advance() has put the chord's end into TARGET; it is restored after the waits.
             targets = memoryview(table)[layout.LIMITS + layout.TARGET * planner.axes :]
             chord_end = array("i", targets[: planner.axes])
@@ -262,15 +263,12 @@ class BacklashCanon(Canon):
         Hold and reset work meanwhile, so the steps may be fewer than requested. move: the line's,
         for its line number, spindle and coolant.
         """
-        planner, kinematics, motor_control = (
-            self.planner,
-            self.planner.kinematics,
-            self._motor_control,
-        )
+        planner, motor_control = self.planner, self._motor_control
+        kinematics = planner.kinematics
         axes = range(planner.axes)
         power = 0 if self._spindle.laser else self.power_of(move)  # the tool stands still
         self.engine.position(self._before)
-        for i in axes:  # what reports say meanwhile
+        for i in axes:  # reported meanwhile for the axes of the mask `standing`
             kinematics.standing_at[i] = kinematics.axis_steps(self._before, i)
         planner.take_up(self._steps_to_turn, move, power)
         kinematics.standing = sum([1 << i for i in axes if self._steps_to_turn[i]])
@@ -295,8 +293,9 @@ def prepare(options: "Options", board: "ModuleType") -> None:
     for i in range(options.axes):
         if not 0 <= options.defaults.get(_FIRST_SETTING + i, 0.0) <= _MOST_MM:
             raise ValueError("DEFAULTS: $%d may be at most %d mm" % (_FIRST_SETTING + i, _MOST_MM))
-    given: "Any" = options.kinematics or Kinematics(options.axes, ())
-    options.kinematics = BacklashKinematics(options.axes, given.moves, given.alone)
+    # moves=(): each motor moves one axis.
+    selected: "Any" = options.kinematics or Kinematics(options.axes, moves=())
+    options.kinematics = BacklashKinematics(options.axes, selected.moves, selected.alone)
     options.planner, options.canon = BacklashPlanner, BacklashCanon
 
 
@@ -359,7 +358,8 @@ def _hook_probing(machine: "Any") -> None:
     previous_position: "Callable[[], array[float]]" = hooks.probed_at
 
     def probe(target: "array[float]", move: "Move", away: bool, alarms: bool) -> bool:
-        """Probe, as HomingProbing.probe(), and store the contact position, if it has moved."""
+        """Probe, as HomingProbing.probe(), and store the contact position, unless nothing moved:
+        in check mode, or because the probe was triggered before."""
         reached: bool = previous_probe(target, move, away, alarms)
         if state.run != st.CHECK and state.alarm != errors.ALARM_PROBE_FAIL_INITIAL:
             copy(previous_position(), contact, axes)

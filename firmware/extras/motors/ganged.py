@@ -69,12 +69,10 @@ class GangedSettings(Settings):
 
     def _announce(self, number: int) -> None:
         """Announce a change, as Settings._announce(), with the inverts of motors for engines."""
-        # Bits of axes become bits of motors, in place. What has been converted stays the same.
-        self.step_invert = self._motor_mask(self.step_invert, 0)
-        self.dir_invert = self._motor_mask(
-            self.dir_invert,
-            self.ganged_dir_invert,  # type: ignore[attr-defined]
-        )
+        # Bits of axes become bits of motors, in place. A second conversion changes nothing.
+        self.step_invert = self._motor_mask(self.step_invert, flipped=0)
+        flipped: int = self.ganged_dir_invert  # type: ignore[attr-defined]
+        self.dir_invert = self._motor_mask(self.dir_invert, flipped=flipped)
         super()._announce(number)
 
     def _motor_mask(self, inverted: int, flipped: int) -> int:
@@ -139,8 +137,8 @@ class GangedHoming(HomingProbing):
         """
         closed = self._inputs.limits()
         for axis, motor in self.pairs:
-            is_homed = axes == 0 or axes >> axis & 1
-            if is_homed and (closed >> axis | closed >> motor) & 1:
+            is_requested = axes == 0 or axes >> axis & 1
+            if is_requested and (closed >> axis | closed >> motor) & 1:
                 self._voice.message("%s: move off the closed limit switch first" % LETTERS[axis])
                 self._motor_control.reset()
                 self._state.alarm = errors.ALARM_HARD_LIMIT
@@ -183,8 +181,9 @@ class GangedHoming(HomingProbing):
 
         An approach also fails if one motor has searched too far alone.
         """
-        if super()._failed(approach, axes) or not approach:  # a pull-off has no search
-            return self._state.alarm != 0  # super() has set it if it failed
+        failed = super()._failed(approach, axes)
+        if failed or not approach:  # a pull-off has no search
+            return failed
         for i, (axis, motor) in enumerate(self.pairs):
             if axes >> axis & 1:
                 racked = abs(self._racked[i] + self._difference(axis, motor))
@@ -217,9 +216,9 @@ class GangedHoming(HomingProbing):
                 both_motors = 1 << axis | 1 << motor
                 if offset:
                     self._engine.lock(1 << (axis if offset > 0 else motor))
-                    feed = self._settings.homing_feed
+                    rate = self._settings.homing_feed
                     # Not self.home_phase(), which requires closed switches.
-                    super().home_phase(both_motors, False, abs(offset), feed)
+                    super().home_phase(both_motors, approach=False, travel=abs(offset), rate=rate)
                 self._racked[i] = 0
         super()._set_origin(axes)
 

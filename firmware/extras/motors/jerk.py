@@ -61,8 +61,8 @@ class Jerk:
         self._plan = planner.move_hook or planner.plan
         planner.move_hook = self.plan
         hooks = state.hooks
-        hooks.planned += (lambda: self.release_blocks(0),)  # if they are many; 1: all
-        hooks.caught_up += (lambda: self.release_blocks(1),)
+        hooks.planned += (lambda: self.release_blocks(everything=0),)
+        hooks.caught_up += (lambda: self.release_blocks(everything=1),)
         hooks.cleared += (self._clear,)
         hooks.replan += (self._replan,)
         self._next_segment, hooks.next_segment = hooks.next_segment, self.next
@@ -106,7 +106,7 @@ class Jerk:
 
     def may_start(self) -> bool:
         """Release all blocks before motion starts. Returns True: it may start."""
-        self.release_blocks(1)
+        self.release_blocks(everything=1)
         return True
 
     def _replan(self) -> bool:
@@ -155,8 +155,8 @@ class Jerk:
             line[jl.PER_TAP] = minifloat.real(1 / slots)
             # Mean time, in slots, to a corner in the middle of the averaging time of n slots:
             # n / 4, and 1 / 12 n because the corner is anywhere in its slot.
-            mean = slots / 4 + 1 / (12 * slots)
-            table[layout.JUNCTION_DERATE] = minifloat.real(mean * slot_s / root_mm_s)
+            mean_slots = slots / 4 + 1 / (12 * slots)
+            table[layout.JUNCTION_DERATE] = minifloat.real(mean_slots * slot_s / root_mm_s)
         self._planner.clear()
 
 

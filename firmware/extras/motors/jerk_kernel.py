@@ -138,8 +138,8 @@ def smooth(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32) -> int:
         in_block = int(add_piece(flow, part))
     if has_begun == 0:
         return 0
-    # slices() makes one row of a time above 2**17, because it is so long for the sake of one step.
-    # The rest of a slot and a whole one are not: they are cut as a full segment.
+    # slices() makes a single row of a time above a slot, because in segment_kernel.py that is a
+    # slow segment of one step. Up to two slots may have more steps: they are cut as one slot.
     flow[PLANNED_TIME] = _SLOT_TIME if span > _SLOT_TIME and span < 2 * _SLOT_TIME else span
     flow[SLICES] = int(slices(flow, table, ring[flow[BLOCK_AT] + FLAGS] & DYNAMIC))
     flow[PLANNED_TIME] = span
@@ -198,7 +198,7 @@ def place_slot(flow: ptr32, line: ptr32) -> int:
 
     Leaves the speed at its end in END_SPEED, its distance in PIECE_DISTANCE. Returns its time.
     With the speeds v at the beginning, w at the end of the block and u at the end of the slot, a
-    part f of the distance (EXECUTED_LEFT / DISTANCE_TO_LAY) takes this part of the time:
+    part f of the distance (EXECUTED_LEFT / DISTANCE_TO_LAY) takes this part of the slot's time:
 
         f (v + u) / (v + w)     because distance = mean speed * time
     """
@@ -208,28 +208,29 @@ def place_slot(flow: ptr32, line: ptr32) -> int:
     # What is left of the block in two units, as reals: of the line and of the flow.
     in_line = int(pack(block_left or 1, BIAS))
     in_steps = int(distance_left(flow))
-    whole = HIGHEST  # what is left of the block in 2**-18 step
+    block_steps = HIGHEST  # what is left of the block in 2**-18 step
     if flow[STEPS_LEFT] < _COUNTED_STEPS:
-        whole = (flow[STEPS_LEFT] << _STEP_BITS) + flow[FRACTION_LEFT]
-    steps = whole  # `way` in 2**-18 step
-    end = line[TAP_SUM]  # the speed at its end: u, or w below
+        block_steps = (flow[STEPS_LEFT] << _STEP_BITS) + flow[FRACTION_LEFT]
+    steps = block_steps  # `way` in 2**-18 step
+    end_speed = line[TAP_SUM]  # at the end of `way`: u, or w below
     if way > block_left:  # the block ends within the slot
         part = int(share(block_left, way))  # f, in 2**-17
-        start = line[SUM_LAID_OUT]  # v
-        speeds = start + end  # v + u
-        end = int(speed_between(start, end, part))  # w
-        if start + end:
-            part = int(share(int(times(speeds, part)), start + end))  # of the time, from here on
-        time = int(times(time, part))
+        time_part = part  # f (v + u) / (v + w), or f if v + w is 0
+        start_speed = line[SUM_LAID_OUT]  # v
+        speeds = start_speed + end_speed  # v + u
+        end_speed = int(speed_between(start_speed, end_speed, part))  # w
+        if start_speed + end_speed:
+            time_part = int(share(int(times(speeds, part)), start_speed + end_speed))
+        time = int(times(time, time_part))
         way = block_left
     elif way < block_left:
         steps = int(part_of(way, in_line, in_steps, ONE))
-        if steps >= whole:  # rounding must not end the block here
-            steps = whole - 1
-    flow[END_SPEED] = int(part_of(end, in_line, in_steps, line[PER_TAP]))
+        if steps >= block_steps:  # rounding must not end the block here
+            steps = block_steps - 1
+    flow[END_SPEED] = int(part_of(end_speed, in_line, in_steps, line[PER_TAP]))
     flow[PIECE_DISTANCE] = steps
     flow[TIME_TO_FILL] = time
-    line[SUM_LAID_OUT] = end
+    line[SUM_LAID_OUT] = end_speed
     line[EXECUTED_LEFT] = block_left - way
     line[DISTANCE_TO_LAY] = line[DISTANCE_TO_LAY] - way
     line[TIME_TO_LAY] = line[TIME_TO_LAY] - time
@@ -270,9 +271,9 @@ def shift_filter(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32) -> int:
     where both sums are at most 2**29 and REMAINDER is below 128. While STAND_SLOTS lasts, the plan
     stands and the new tap is 0.
     """
-    before = line[TAP_SUM]
+    sum_before = line[TAP_SUM]
     tap = 0  # the new one: distance of the plan in this slot
-    if before == 0 and line[SLOT_BEGUN] == 0:
+    if sum_before == 0 and line[SLOT_BEGUN] == 0:
         line[STAND_SLOTS] = 0  # the average has stopped already
     if line[STAND_SLOTS] and line[SLOT_BEGUN] == 0:
         line[STAND_SLOTS] = line[STAND_SLOTS] - 1
@@ -280,20 +281,20 @@ def shift_filter(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32) -> int:
         advance(flow, line, ring, table, HIGHEST)
         if line[SLOT_BEGUN]:
             tap = line[SLOT_DISTANCE]
-        elif before == 0:
+        elif sum_before == 0:
             return 0  # nothing is planned, and the average stands
         line[SLOT_BEGUN] = 0
     slots = line[FILTER_TAPS]
     oldest = line[OLDEST_TAP]
-    after = before + tap - line[TAP_DISTANCES + oldest]
+    sum_after = sum_before + tap - line[TAP_DISTANCES + oldest]
     line[TAP_DISTANCES + oldest] = tap
     oldest += 1
     line[OLDEST_TAP] = oldest if oldest < slots else 0
-    dividend = before + after + line[REMAINDER]
+    dividend = sum_before + sum_after + line[REMAINDER]
     distance = dividend // (2 * slots)
     line[REMAINDER] = dividend - 2 * slots * distance
-    line[SUM_LAID_OUT] = before
-    line[TAP_SUM] = after
+    line[SUM_LAID_OUT] = sum_before
+    line[TAP_SUM] = sum_after
     line[DISTANCE_TO_LAY] = distance
     line[TIME_TO_LAY] = _SLOT_TIME
     return 1

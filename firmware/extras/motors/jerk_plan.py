@@ -157,21 +157,22 @@ def set_max_entry(table: ptr32, ring: ptr32, at: int, before: int) -> int:
     rates, and as such two blocks with _RATE_LIMITED whose squared rates differ by 1/8 at most; a
     corner of the grid, or none.
     """
-    junction = ring[at + JUNCTION_SQR]
-    entry = ring[at + NOMINAL_SQR]  # the lower one of the two rates, squared,
-    fast = ring[before + NOMINAL_SQR]  # and the higher one
-    if fast < entry:
-        entry = fast
-        fast = ring[at + NOMINAL_SQR]
+    corner_sqr = ring[at + JUNCTION_SQR]
+    slow_sqr = ring[at + NOMINAL_SQR]  # the lower one of the two rates, squared,
+    fast_sqr = ring[before + NOMINAL_SQR]  # and the higher one
+    if fast_sqr < slow_sqr:
+        slow_sqr = fast_sqr
+        fast_sqr = ring[at + NOMINAL_SQR]
     accel = ring[at + ACCEL]
     both_limited = ring[at + FLAGS] & ring[before + FLAGS] & _RATE_LIMITED
-    if both_limited and fast - (fast >> 3) <= entry:
-        fast = entry  # as equal rates: nothing is lowered
-    elif junction < HIGHEST and ring[at + FLAGS] & _IN_GRID_CHAIN == 0:
-        junction = int(lower_at_corner(table, accel, junction))
-    if fast != entry:
-        entry = int(lower_at_corner(table, accel, entry))
-    ring[at + MAX_ENTRY_SQR] = entry if entry < junction else junction
+    if both_limited and fast_sqr - (fast_sqr >> 3) <= slow_sqr:
+        fast_sqr = slow_sqr  # as equal rates: nothing is lowered
+    elif corner_sqr < HIGHEST and ring[at + FLAGS] & _IN_GRID_CHAIN == 0:
+        corner_sqr = int(lower_at_corner(table, accel, corner_sqr))
+    rate_sqr = slow_sqr  # what the rates allow
+    if fast_sqr != slow_sqr:
+        rate_sqr = int(lower_at_corner(table, accel, slow_sqr))
+    ring[at + MAX_ENTRY_SQR] = rate_sqr if rate_sqr < corner_sqr else corner_sqr
     return 0
 
 
@@ -192,7 +193,7 @@ def mark_grid_corner(table: ptr32, ring: ptr32, line: ptr32, at: int, before: in
             in_chain = int(is_short(table, ring, at, line[CHAIN_SQR]))
             if in_chain == 0:  # the chain ends here
                 ring[at + JUNCTION_SQR] = line[CHAIN_SQR]
-    elif junction and (after_chain or ring[before + JUNCTION_SQR] < HIGHEST):
+    elif junction and (after_chain or ring[before + JUNCTION_SQR] < HIGHEST):  # after a corner
         in_chain = int(is_grid_corner(table, ring, at, before))
         line[CHAIN_SQR] = junction
     if in_chain:
@@ -245,10 +246,10 @@ def limit_rate(table: ptr32, ring: ptr32, at: int, after: int, before: int) -> i
     next and the previous one. Returns 0; the block has the flag _RATE_LIMITED if it was limited.
     """
     sqr = ring[after + JUNCTION_SQR]  # becomes the speed squared that the corners allow
-    entry = ring[at + JUNCTION_SQR]  # 0: the block begins at standstill, which limits nothing
-    if entry and entry < sqr:
-        sqr = entry
-    if entry and ring[before + FLAGS] & _RATE_LIMITED and ring[before + NOMINAL_SQR] < sqr:
+    first = ring[at + JUNCTION_SQR]  # its first corner; 0: a standstill, which limits nothing
+    if first and first < sqr:
+        sqr = first
+    if first and ring[before + FLAGS] & _RATE_LIMITED and ring[before + NOMINAL_SQR] < sqr:
         sqr = ring[before + NOMINAL_SQR]
     # Nothing to do: a stop, or straight lines, or corners that are no stops when lowered.
     lowered_sqr = int(lower_at_corner(table, ring[at + ACCEL], sqr))
@@ -278,7 +279,7 @@ def set_acceleration(table: ptr32, ring: ptr32, flow: ptr32, row: int, present: 
     size = flow[ROW_SIZE]
     at = row * size
     before = (row if row else flow[ROWS]) * size - size
-    own = int(shared_acceleration(table, ring[at + ACCEL]))  # what this block allows
+    own = int(shared_acceleration(table, ring[at + ACCEL]))  # what this block alone allows
     accel = ring[before + ACCEL]
     junction = ring[at + JUNCTION_SQR]
     is_long = ring[at + LENGTH] >= _TOO_LONG_MM or ring[before + LENGTH] >= _TOO_LONG_MM

@@ -99,7 +99,9 @@ def _can_be(number: int, amount: float, most_ma: float) -> bool:
         return 0 < amount <= most_ma
     if base == _MICROSTEPS:
         return tmc2209_chip.is_resolution(amount)
-    return amount <= (_PERCENT if base == _HOLD else _MOST_THRESHOLD)
+    if base == _HOLD:
+        return amount <= _PERCENT
+    return amount <= _MOST_THRESHOLD  # StallGuard's, of _SEEK or _LOCATE
 
 
 def install(cnc: "Cnc") -> None:
@@ -199,7 +201,7 @@ class Drivers:
                 self._responsive &= ~(1 << motor)  # only one alarm
                 self._note_fault(motor, why)
                 if self._state.run != st.ALARM:
-                    self._machine.canon.stop_with_alarm(errors.ALARM_DRIVER)
+                    self._machine.canon.stop_with_alarm(errors.ALARM_DRIVER)  # raises Abort
             elif why and not self._reported >> motor & 1:
                 self._note_fault(motor, why)
 
@@ -265,7 +267,8 @@ class Drivers:
         previous_home, previous_phase = hooks.home, hooks.home_phase
 
         def home(axes: int) -> bool:
-            """Home the axes if the drivers are ready, and have these configured again."""
+            """Home the axes (a mask; 0: all) if the drivers are configured. Those that have used
+            StallGuard are configured again afterwards. Returns whether homing succeeded."""
             if not self.may_start():
                 return False
             try:

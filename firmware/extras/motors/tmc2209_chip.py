@@ -15,7 +15,7 @@ _SYNC = const(5)
 _MASTER = const(0xFF)  # the address of an answer
 _WRITE = const(0x80)  # added to the register
 _ANSWER_BYTES = const(8)
-_CHECKSUM_AT = const(7)  # in an answer
+_CHECKSUM_AT = const(7)  # in an answer, and in a write datagram
 _VALUE_AT = const(3)
 _POLYNOMIAL = const(7)
 _TRIES = const(3)
@@ -148,18 +148,19 @@ class Chip:
         """Write the configuration and clear old faults. Raises Silence.
 
         milliamps: RMS. hold_percent: current while the motor stands. spread: use spreadCycle. The
-        chopper's times keep the chip's defaults. run, hold: currents in 1/32 of the full scale.
+        chopper's times keep the chip's defaults. run, hold: currents in 1/32 of the full scale,
+        which has a lower range for small currents.
         """
-        sensitive = milliamps <= full_scale_ma(self._sense_ohm, _LOW_V)
-        full = full_scale_ma(self._sense_ohm, _LOW_V if sensitive else _FULL_V)
-        run = min(max(int(_SCALES * milliamps / full + 0.5), 1), _SCALES)
+        in_low_range = milliamps <= full_scale_ma(self._sense_ohm, _LOW_V)
+        full_ma = full_scale_ma(self._sense_ohm, _LOW_V if in_low_range else _FULL_V)
+        run = min(max(int(_SCALES * milliamps / full_ma + 0.5), 1), _SCALES)
         hold = max(int(run * hold_percent / 100 + 0.5), 1)
-        log2 = 0
-        while 1 << log2 < microsteps:
-            log2 += 1
+        microsteps_log2 = 0
+        while 1 << microsteps_log2 < microsteps:
+            microsteps_log2 += 1
         chopper = self._read(_CHOPCONF) & ~(_LOW_VOLTAGE_RANGE | 0xF << _MRES_AT)
-        chopper |= (_SMOOTHEST_LOG2 - log2) << _MRES_AT | _INTERPOLATED
-        if sensitive:
+        chopper |= (_SMOOTHEST_LOG2 - microsteps_log2) << _MRES_AT | _INTERPOLATED
+        if in_low_range:
             chopper |= _LOW_VOLTAGE_RANGE
         if not chopper & _OFF_TIME_MASK:
             chopper |= _DEFAULT_OFF_TIME
