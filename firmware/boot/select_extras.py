@@ -134,6 +134,6 @@ def check_excluded(extra: "Extra", board: "ModuleType") -> None:
 def pin_options(board: "ModuleType") -> "tuple[str, ...]":
     """Return the names of the board file's entries with pins of the selected extras."""
     options: "tuple[str, ...]" = ()
-    for module in import_extras(extra_names(board, False)):
+    for module in import_extras(extra_names(board, with_custom=False)):
         options += getattr(module, "PINS", ())
     return options

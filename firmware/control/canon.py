@@ -150,7 +150,7 @@ class Canon:
         state = self._state
         reasons = check_travel(target, self.travel, self._flow)
         if reasons & OUTSIDE and state.run != st.JOG:
-            self.stop_with_alarm(errors.ALARM_SOFT_LIMIT)
+            self.stop_with_alarm(errors.ALARM_SOFT_LIMIT)  # raises Abort
         if state.run == st.CHECK:
             return
         if state.pending[st.ANY] or state.suspend:
@@ -184,7 +184,7 @@ class Canon:
         moves = state.run != st.CHECK
         power, known_changes = 0, -1  # State.changes[0] when power was computed; -1: not yet
         # In the first turn only if an event waits: the main loop has just called service().
-        must_service = state.pending[st.ANY] or state.suspend  # not 0: true
+        must_service = state.pending[st.ANY] or state.suspend  # not 0: yes
         while course[arcs.CHORDS_LEFT]:
             if must_service:
                 self.service()
@@ -196,7 +196,7 @@ class Canon:
             if state.hooks.planned:
                 call_all(state.hooks.planned)
             if reason == OUTSIDE:
-                self.stop_with_alarm(errors.ALARM_SOFT_LIMIT)
+                self.stop_with_alarm(errors.ALARM_SOFT_LIMIT)  # raises Abort
             elif reason == FULL:
                 self.auto_start()
             elif reason:  # NOWHERE: a chord without steps

@@ -217,8 +217,8 @@ class HomingProbing:
             if axes >> i & 1:
                 planner.set_axis(self._steps, i, 0.0)
                 # Switches are at the positive end, unless $23 inverts that.
-                negative = bool(self._settings.homing_dir_invert >> i & 1) == approach
-                self._target[i] = -travel if negative else travel
+                goes_down = bool(self._settings.homing_dir_invert >> i & 1) == approach
+                self._target[i] = -travel if goes_down else travel
         engine.set_position(self._steps)
         move = self._move
         move.clear()
@@ -253,14 +253,14 @@ class HomingProbing:
         door was requested; or motion has ended without the switches, or, on the pull-off, with one
         still hit. axes: mask."""
         state = self._state
-        done = self._engine.idle()  # the move has ended
+        has_ended = self._engine.idle()  # the move
         if state.pending[st.RESET]:
             state.alarm = errors.ALARM_HOMING_FAIL_RESET
         elif state.pending[st.SAFETY_DOOR]:
             state.alarm = errors.ALARM_HOMING_FAIL_DOOR
-        elif done and not approach and self._inputs.limits() & axes:
+        elif has_ended and not approach and self._inputs.limits() & axes:
             state.alarm = errors.ALARM_HOMING_FAIL_PULLOFF
-        elif done and approach:
+        elif has_ended and approach:
             state.alarm = errors.ALARM_HOMING_FAIL_APPROACH
         return state.alarm != 0
 

@@ -250,8 +250,8 @@ class MotorControl:
             self._restart()
             return
         delay = self._settings.idle_lock_ms
-        stay = delay == _FOR_EVER and state.run != st.SLEEP  # the motors stay powered
-        # Without motion before (_is_new), or if they stay powered, there is nothing to wait for.
+        stay = delay == _FOR_EVER and state.run != st.SLEEP  # all motors stay powered
+        # With no motion before (_is_new), or if they stay powered, there is nothing to wait for.
         if not (stay or self._is_new) and self._port.elapsed_ms(self._since) < delay:
             return
         self.in_idle_delay = self._is_new = False

@@ -124,7 +124,8 @@ class Overrides:
         self._coolant.set(self._modes.modal[COOLANT])
 
     def hold(self) -> None:
-        """A hold prevents a start: stop a laser again that was restored for it."""
+        """Handle a hold that has cancelled a cycle start: a laser, which may have been switched on
+        for that start, is stopped again."""
         state = self._state
         if self._spindle.laser and not state.stop_override:
             self.stop_spindle()

@@ -127,22 +127,22 @@ class Suspension:
         start, which is posted again once the spindle turns.
         """
         state = self._state
-        stopping = state.stop_override  # mask of its requests and its state
-        if stopping & st.STOP_INITIATE:
+        stop_override = state.stop_override  # mask of its requests and its state
+        if stop_override & st.STOP_INITIATE:
             state.stop_override = 0
             if self._modes.modal[SPINDLE]:
                 self._stop_spindle()
                 state.stop_override = st.STOP_ENABLED
-        elif stopping & (st.STOP_RESTORE | st.STOP_RESTORE_CYCLE):
+        elif stop_override & (st.STOP_RESTORE | st.STOP_RESTORE_CYCLE):
             if self._modes.modal[SPINDLE]:
                 self._voice.message(errors.MSG_SPINDLE_RESTORE)
                 self._restore_spindle()
-            if stopping & st.STOP_RESTORE_CYCLE:
+            if stop_override & st.STOP_RESTORE_CYCLE:
                 state.post(st.CYCLE_START)
             else:
                 state.override_countdown = 0  # the next status report shows the spindle
             state.stop_override = 0
-        elif not stopping and state.update_spindle:
+        elif not stop_override and state.update_spindle:
             self._spindle.set_speed(self._flags & plan.SPINDLE_MASK, self._rpm)
             state.update_spindle = False
 
@@ -210,10 +210,10 @@ class Suspension:
         """Routine: undo _retract(), in the reverse order, then post a cycle start. If the door
         opens, the rest is left out."""
         state = self._state
-        # Down to the end of the slow part, only if parking has moved the tool up.
+        # Down to where the slow part begins, unless the tool was above the parked one anyway.
         if self._parks and self._may_park() and self._target[_PARK_AXIS] <= _PARK_TARGET_MM:
             self._target[_PARK_AXIS] = self._waypoint
-            yield from self._park_move(self._target, _PARK_RATE, False)  # without accessories
+            yield from self._park_move(self._target, _PARK_RATE, with_accessories=False)
         if self._modes.modal[SPINDLE] and not self._interrupted():
             self._restore_spindle()
             if not self._spindle.laser:
@@ -222,7 +222,7 @@ class Suspension:
             self._coolant.set(self._modes.modal[COOLANT])
             yield from self._pause(_COOLANT_DELAY_MS)
         if self._parks and self._may_park() and not self._interrupted():
-            yield from self._park_move(self._resume_at, _PULL_OUT_RATE, True)  # with them
+            yield from self._park_move(self._resume_at, _PULL_OUT_RATE, with_accessories=True)
         if not self._interrupted():
             state.suspend |= st.RESTORE_COMPLETE
             state.post(st.CYCLE_START)
@@ -253,11 +253,11 @@ class Suspension:
             return
         if target[_PARK_AXIS] < self._waypoint:
             target[_PARK_AXIS] = self._waypoint
-            yield from self._park_move(target, _PULL_OUT_RATE, True)  # with accessories
+            yield from self._park_move(target, _PULL_OUT_RATE, with_accessories=True)
         self._stop_accessories()
         if target[_PARK_AXIS] < _PARK_TARGET_MM:
             target[_PARK_AXIS] = _PARK_TARGET_MM
-            yield from self._park_move(target, _PARK_RATE, False)  # without
+            yield from self._park_move(target, _PARK_RATE, with_accessories=False)
 
     def _park_move(
         self, target: "array[float]", rate: float, with_accessories: bool

@@ -131,7 +131,7 @@ def _by_radius(
         quotient(r, arc.A, r, arc.B)
     else:  # ends so close that the square of their distance is 0
         r[arc.A] = 0
-    # To the right, if either R is negative or the arc is clockwise.
+    # To the right if R is negative or the arc is clockwise, to the left if both or neither.
     if (ptr8(singles)[4 * b.R + 3] >> 7) != plane[arc.CLOCKWISE]:
         ptr8(r)[4 * arc.A + 3] ^= MINUS
     # With the fraction f in A and the chord (x, y): centre = (x - f * y, y + f * x) / 2.

@@ -332,11 +332,12 @@ class Block:
         value = self._words.values[i]
         number = truncate(value) & 255
         hundredths = _round(100 * f32(value - number))
-        at, end = number, M_WORDS  # the word's place in _index, and the end of the G words there
+        # The word's place in _index, and the end of the words of its letter there.
+        at, end = number, M_WORDS
         if self._words.letters[i] == _M:
             if hundredths:
                 return errors.GCODE_COMMAND_VALUE_NOT_INTEGER
-            at, end = number + M_WORDS, _INDEXED  # of the M words
+            at, end = number + M_WORDS, _INDEXED
         row = self._index[at] if at < end else 0
         if not row:
             return errors.GCODE_UNSUPPORTED_COMMAND

@@ -132,7 +132,7 @@ class Interpreter:
         asked = machine[b.ASKED] if line is self.line else 0
         machine[b.ASKED] = 0
         if asked == 0:
-            asked = self.check_line(line, length << 8, modal, 0)
+            asked = self.check_line(line, length << 8, modal, jog=0)
         elif asked < 0:
             raise GrblError(-asked)
         # What no kernel may execute: all but PLAIN, and motion that an extra watches.
@@ -144,7 +144,7 @@ class Interpreter:
                 self._canon.make_room()
                 # Lines that were executed during the wait have replaced the block, and this value.
                 if machine[b.ASKED] != asked:
-                    asked = self.check_line(line, length << 8, modal, 0)
+                    asked = self.check_line(line, length << 8, modal, jog=0)
                 machine[b.ASKED] = 0
             if ln.run_move(asked, modal, self._memory):
                 return  # executed
@@ -173,7 +173,7 @@ class Interpreter:
         copy(modes.modal, modal, mode.MODAL_LENGTH)
         modal[mode.MOTION] = b.LINEAR
         modal[mode.INVERSE_TIME] = 0
-        self.check_line(line, length << 8 | JOG_START, modal, 1)
+        self.check_line(line, length << 8 | JOG_START, modal, jog=1)
         if self._canon.outside(block.xyz):
             raise GrblError(errors.TRAVEL_EXCEEDED)
         move = self._begin_move(block, layout.NO_FEED_OVERRIDE)
@@ -330,7 +330,7 @@ class Interpreter:
             self.motions[motion].make(block, move)
             return
         elif not self._probe(block, move):
-            return  # the position is already set, or has not changed
+            return  # position: _probe() has set it, or it must not change
         copy(block.xyz, modes.position, block.axes)
         if motion <= b.CCW_ARC and self._state.hooks.moved:
             self._canon.finish()

@@ -103,8 +103,8 @@ def run_move(asked: int, modal: ptr32, memory: object) -> int:
     """Execute the checked block, whose requests are `asked`, if its motion is one straight line
     and the ring has a free row. Returns 1; or 0, and the interpreter must do the rest.
 
-    Modes, rates and the parser's position are those after the line then. With 0 the modes may be,
-    too, but the position is not.
+    After 1 the modes, rates and the parser's position are those after the line. After 0 the modes
+    and rates may be, too, but the position is not.
     """
     # Another S of a turning spindle has to wait for the end of motion, except a laser's.
     if asked & ~PLAIN or (asked & b.SPEED and modal[mode.SPINDLE] and asked & b.S_IN_MOTION == 0):

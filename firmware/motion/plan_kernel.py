@@ -195,12 +195,12 @@ def junction_speed_sqr(table: ptr32, dirs: int) -> int:
         return 0
     root = 0
     for _ in range(2):  # in 2**-14: |D|, then the root of 4 - |D|**2, twice the cosine
-        change = root  # in the end |D|
+        size = root  # |D|, after the second turn
         root = int(square_root(squares))
         squares = 0x3FFFFFFF - squares  # 4 in 2**-28, less |D|**2
     cosine = root >> 1
     # c (1 + c) / |D| in 2**-15. JUNCTION's 2**16 makes up for the 2**-14 of D_i, and is the 4.
-    shape = (((cosine * (_UNIT + cosine)) >> 14) << 15) // change
+    shape = (((cosine * (_UNIT + cosine)) >> 14) << 15) // size
     return int(product(int(pack(shape, BIAS - 15)), least, table[JUNCTION]))
 
 
@@ -240,15 +240,16 @@ def compute_profile(table: ptr32, ring: ptr32, at: int) -> int:
         if place <= CRUISE and number == 0:
             number = 1  # so that every block proceeds
         ring[at + place] = number
-        if place < PROGRAMMED:  # the factors of the next one
+        # The factors of the next one.
+        if place < PROGRAMMED:  # CRUISE, then PROGRAMMED
             a = nominal if place == RAMP else rate
             b = factor
             c = ONE
-        elif place == PROGRAMMED:
+        elif place == PROGRAMMED:  # NOMINAL_SQR
             a = nominal
             b = nominal
             c = table[SQR_SCALE]
-        else:
+        else:  # DELTA_SQR
             a = accel + LIMIT  # twice accel: its exponent and one; c is still SQR_SCALE
             b = ring[at + LENGTH]
     return 0

@@ -12,7 +12,6 @@ from micropython import const
 
 from motion.minifloat import BIAS, HIGHEST, LIMIT, MANTISSA, SMALLEST, mul, pack, square_root
 
-# 2**17: the time of a full segment, and 1 of a part in 2**-17.
 FULL_TIME = const(131072)  # 2**17: 1, of a fraction or of a full segment
 
 
@@ -96,10 +95,10 @@ def after(speed: int, ramp: int, distance: int, down: int) -> int:
     if change >> 15 > exponent:
         exponent = change >> 15
     shift = exponent - (square >> 15)
-    mantissa = ((square & MANTISSA) << 14) >> shift if shift < 30 else 0
+    mantissa = ((square & MANTISSA) << 14) >> shift if shift < 30 else 0  # of speed**2
     shift = exponent - (change >> 15)
     term = ((change & MANTISSA) << 14) >> shift if shift < 30 else 0
-    mantissa = mantissa - term if down else mantissa + term
+    mantissa = mantissa - term if down else mantissa + term  # of the sum
     if mantissa <= 0:
         return 0
     exponent -= BIAS + 14  # from here on the sum is mantissa * 2**exponent

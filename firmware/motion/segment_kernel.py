@@ -208,7 +208,7 @@ def brake(flow: ptr32, ramp: int, leave: int, rest: int) -> int:
     at_mean = int(times(mean, time))  # distance at mean speed
     if rest > at_mean:  # the segment ends before the block
         most_change = int(times(ramp, time))
-        if rest < HIGHEST:
+        if rest < HIGHEST:  # it fits 2**-18 step
             change = int(times(speed - leave, int(share(at_mean, rest))))
         else:  # share() is at most 1: where more is needed, the excess is added
             change = int(times(most_change, int(share(flow[BRAKE_DISTANCE], flow[STEPS_LEFT]))))
@@ -224,7 +224,7 @@ def brake(flow: ptr32, ramp: int, leave: int, rest: int) -> int:
         if distance > rest:
             distance = rest
             time = int(share(rest, mean))
-    else:
+    else:  # the block ends first, and with it the piece
         distance = rest
         time = int(share(rest, mean)) if mean else 1
         most_change = int(times(ramp + (ramp >> 4), time)) + 4  # a sixteenth more; 4: rounding
@@ -239,23 +239,23 @@ def brake(flow: ptr32, ramp: int, leave: int, rest: int) -> int:
 
 
 @micropython.viper
-def add_piece(flow: ptr32, part: int) -> int:
-    """Add a piece to the segment: part is its time, flow[END_SPEED] the speed at its end, and
+def add_piece(flow: ptr32, time: int) -> int:
+    """Add a piece of this time to the segment: flow[END_SPEED] is the speed at its end, and
     flow[PIECE_DISTANCE] its distance.
 
     The distance is subtracted from that left of the block. Returns 0 if nothing is left, else
     another number.
     """
-    if part > flow[TIME_TO_FILL]:
-        part = flow[TIME_TO_FILL]
-    flow[TIME_TO_FILL] = flow[TIME_TO_FILL] - part
+    if time > flow[TIME_TO_FILL]:
+        time = flow[TIME_TO_FILL]
+    flow[TIME_TO_FILL] = flow[TIME_TO_FILL] - time
     at = flow[PIECE_AT]  # index in the flow: a piece's time, and then its final speed
     if at == MOTORS:
         at -= 2  # there is no place for another one: it is merged with the last piece
     else:
         flow[at] = 0  # its time
         flow[PIECE_AT] = at + 2
-    flow[at] = flow[at] + part
+    flow[at] = flow[at] + time
     flow[at + 1] = flow[END_SPEED]
     flow[PLANNED_DISTANCE] = flow[PLANNED_DISTANCE] + flow[PIECE_DISTANCE]
     distance = flow[FRACTION_LEFT] - flow[PIECE_DISTANCE]
@@ -277,7 +277,7 @@ def next_piece(flow: ptr32, ring: ptr32, scale: int) -> int:
     """
     at = flow[BLOCK_AT]
     ramp = ring[at + RAMP]
-    top = ring[at + CRUISE]  # the speed to reach; 0 in a hold
+    top = ring[at + CRUISE]  # the speed to reach: the nominal one, 0 in a hold
     speed = flow[END_SPEED]
     # slack and braking distances are in 2**-unit step: 18, or 0 for whole steps if many are left.
     unit = 18 if flow[STEPS_LEFT] < _MOST_FINE_STEPS else 0

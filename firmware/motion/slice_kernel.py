@@ -149,28 +149,28 @@ def is_alone(flow: ptr32, motors: int) -> int:
 
 
 @micropython.viper
-def travel(flow: ptr32, part: int) -> int:
-    """Remove the time part from the segment's pieces, from the first on. Returns the distance in
-    that time, and leaves the speed at its end in ROW_SPEED.
+def travel(flow: ptr32, duration: int) -> int:
+    """Remove the first `duration` from the segment's pieces, which is the time of a row. Returns
+    the distance in that time, and leaves the speed at its end in ROW_SPEED.
 
-    A piece that lasts longer is split: its speed there is speed + (end - speed) * part / time,
+    A piece that lasts longer is split: its speed there is speed + (end - speed) * duration / time,
     with both times in units of 64, so that the product fits.
     """
     speed = flow[ROW_SPEED]
     distance = 0
-    while part:
+    while duration:
         at = flow[PIECE_AT]
         time = flow[at]
         end = flow[at + 1]  # speed
-        if time > part:  # split it
-            end = speed + (end - speed) // (time >> 6 | 1) * (part >> 6)
-            flow[at] = time - part
-            time = part
+        if time > duration:  # split it; | 1: never a division by 0
+            end = speed + (end - speed) // (time >> 6 | 1) * (duration >> 6)
+            flow[at] = time - duration  # the rest is for the next row
+            time = duration
         else:
             flow[PIECE_AT] = at + 2
         distance += int(times((speed + end) >> 1, time))
         speed = end
-        part -= time
+        duration -= time
     flow[ROW_SPEED] = speed
     return distance
 
@@ -223,7 +223,7 @@ def end_on_step(flow: ptr32, row: ptr32, distance: int, ticks: int) -> int:
     rest = distance & _STEP_FRACTION
     flow[PARTIAL_STEP] = rest
     flow[SPARE_TICKS] = 0
-    if rest > STEP_BIAS and steps:  # else it ends as close to a step as can be, or has none
+    if rest > STEP_BIAS and steps:  # else it ends on a step (all rest is the bias), or has none
         part = int(share(steps << 18, distance))  # whole steps / distance, in 2**-17
         # ticks * part >> 17, in halves so that the products fit.
         whole_ticks = (((ticks >> 15) * part) >> 2) + (((ticks & 32767) * (part >> 2)) >> 15)
@@ -248,7 +248,7 @@ def place_steps(flow: ptr32, ring: ptr32, row: ptr32, motors: int, events: int) 
     """
     # gain = events * ratio >> 11, ratio from 0 to 2**29: events << 3 times its upper 15 bits and
     # its lower 15.
-    events <<= 3
+    events <<= 3  # no longer a count of steps
     ticks = row[ROW_TICKS]
     ratios = flow[BLOCK_AT] + STEPS + motors  # index in the ring: steps / EVENTS, in 2**-29
     # Whether this is the block's last row: nothing is left to plan, and no other row is to come.
@@ -276,17 +276,15 @@ def place_steps(flow: ptr32, ring: ptr32, row: ptr32, motors: int, events: int) 
             scale += 1
         for k in range(2 if steps else 0):  # its first step, then its last
             step = steps if k else 1
-            # First the phase still to go to that step, in the end its tick.
-            part = ((step << 18) - phase) >> scale
-            if part < gain:
-                # ticks * part / gain, ticks as two digits of 9 bits; gain has 21 bits at most.
-                coarse = (ticks >> dropped >> 9) * part
+            to_go = ((step << 18) - phase) >> scale  # phase from the row's start to that step
+            tick = ticks  # the row's end
+            if to_go < gain:
+                # ticks * to_go / gain, ticks as two digits of 9 bits; gain has 21 bits at most.
+                coarse = (ticks >> dropped >> 9) * to_go
                 quotient = coarse // gain
-                rest = ((coarse - quotient * gain) << 9) + ((ticks >> dropped) & 511) * part
-                part = ((quotient << 9) + (rest + (gain >> 1)) // gain) << dropped
-            else:
-                part = ticks  # the row's end
-            row[at + 1 + k] = part
+                rest = ((coarse - quotient * gain) << 9) + ((ticks >> dropped) & 511) * to_go
+                tick = ((quotient << 9) + (rest + (gain >> 1)) // gain) << dropped
+            row[at + 1 + k] = tick
     return 0
 
 

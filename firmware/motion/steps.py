@@ -104,11 +104,11 @@ def measure(table: ptr32, ring: ptr32, at: int) -> int:
     dirs = 0
     events = 0
     for i in range(table[MOTOR_COUNT]):
-        moved = table[moves + i]  # the axes that it moves
-        if moved == 1 << i:  # the common case: it turns the axis of its number
+        moved_axes = table[moves + i]  # mask of those that this motor moves
+        if moved_axes == 1 << i:  # the common case: it turns the axis of its number
             steps = table[target + i] - table[target + axes + i]
         else:
-            steps = int(motor_steps(table, target, axes, moved))
+            steps = int(motor_steps(table, target, axes, moved_axes))
         if steps < 0:
             dirs |= 1 << i
             steps = 0 - steps
@@ -137,10 +137,10 @@ def measure(table: ptr32, ring: ptr32, at: int) -> int:
     # At the exponent of the largest, so 14 bits each: six squares of 28 bits stay below 2**31.
     squares = 0
     for i in range(axes):
-        mantissa = table[distance + i]
-        if mantissa:
-            shift = largest_exponent - (mantissa >> 15) + 1
-            mantissa = (mantissa & MANTISSA) >> shift if shift < 15 else 0
+        moved_mm = table[distance + i]  # a real
+        if moved_mm:
+            shift = largest_exponent - (moved_mm >> 15) + 1
+            mantissa = (moved_mm & MANTISSA) >> shift if shift < 15 else 0
             squares += mantissa * mantissa
     ring[at + EVENTS] = events
     ring[at + DIRS] = dirs

@@ -74,7 +74,7 @@ class BeamEngine(PioEngine):
         setup_us: int,
         power: int,
     ) -> None:
-        super().__init__(step, direction, hold_us, setup_us, 1)
+        super().__init__(step, direction, hold_us, setup_us, more_lanes=1)
         self._slice = slice_of(power)
         # The array that motion/beam_layout.py works on.
         self.beam = array("i", (0 for _ in range(bm.LENGTH)))
@@ -126,7 +126,7 @@ class BeamEngine(PioEngine):
         rx_fifo = self._engine_state[PIO0 + (lane >> BLOCK_LOG2)] + 4 * (RXF + number)
         taker.config(read=rx_fifo, write=self._unused_at, count=1, ctrl=control)
         control = mover.pack_ctrl(
-            size=2,
+            size=2,  # words of 32 bits
             inc_write=False,
             ring_size=bm.LEVELS_LOG2 + 2,  # log2 of the ring's bytes: reading wraps there
             treq_sel=_UNPACED,

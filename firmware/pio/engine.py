@@ -97,16 +97,16 @@ class PioEngine:
         self._setup_us = setup_us
         # The address of pin 0's control register, and the first bit of OUTOVER in it.
         self._pin_control, self._invert_shift = 0x40014004, 8
-        lanes, most, rp2350 = len(step) + more_lanes, _MOST_MOTORS, False
+        lanes, most_motors, rp2350 = len(step) + more_lanes, _MOST_MOTORS, False
         if s.RP2350:
             rp2350 = "RP2350" in sys.implementation._machine
             if rp2350:
                 self._pin_control, self._invert_shift = 0x40028004, 12
-                most = _MOST_2350 - more_lanes
+                most_motors = _MOST_2350 - more_lanes
                 if max(step + direction) > _LAST_PIN:
                     raise ValueError("STEP, DIR: only pins 0 to 31 make pulses")
-        if len(step) > most:
-            raise ValueError("STEP: %d motors at most" % most)
+        if len(step) > most_motors:
+            raise ValueError("STEP: %d motors at most" % most_motors)
         self._memory = Memory(lanes, rp2350)
         self._engine_state = self._memory.state
         self._state_at = address_of(self._memory.state)

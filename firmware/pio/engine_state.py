@@ -154,21 +154,20 @@ def _prepare(state: ptr32) -> int:
     axes = state[s.AXES]
     pio = ptr32(state[s.PIO0])
     clock = ptr32(state[s.CLOCK_PIO])
-    other = clock
-    if s.RP2350:
-        other = ptr32(state[s.PIO1])
+    pio_1 = clock
+    if s.RP2350:  # there the clock may be on PIO 2
+        pio_1 = ptr32(state[s.PIO1])
     lanes = ptr32(state[s.LANES])
     timing = ptr32(state[s.TIMING])
     timer = ptr32(state[s.TIMER])
     patience = 1000  # readings, here and below: no loop waits forever for broken hardware
-    while ((timer[0] & MASK) - state[s.END_US]) & MASK <= timing[PULSE] // _TO_US + 1 and patience:
-        patience -= 1  # let the last pulses end at their full length
-    first = state[s.OURS_0]
-    second = state[s.OURS_1]
-    pio[reg.CTRL + reg.CLEAR] = first  # disables them
-    other[reg.CTRL + reg.CLEAR] = second
-    pio[reg.CTRL + reg.SET] = first << 4  # SM_RESTART
-    other[reg.CTRL + reg.SET] = second << 4
+    pulse_us = timing[PULSE] // _TO_US + 1  # let the last pulses end at their full length
+    while ((timer[0] & MASK) - state[s.END_US]) & MASK <= pulse_us and patience:
+        patience -= 1
+    pio[reg.CTRL + reg.CLEAR] = state[s.OURS_0]  # disables them
+    pio_1[reg.CTRL + reg.CLEAR] = state[s.OURS_1]
+    pio[reg.CTRL + reg.SET] = state[s.OURS_0] << 4  # SM_RESTART
+    pio_1[reg.CTRL + reg.SET] = state[s.OURS_1] << 4
     if s.RP2350 and state[s.OURS_2]:
         clock[reg.CTRL + reg.CLEAR] = state[s.OURS_2]
         clock[reg.CTRL + reg.SET] = state[s.OURS_2] << 4
@@ -279,15 +278,15 @@ def _start_transfer(state: ptr32, fed: int, count: int) -> int:
     lanes = ptr32(state[s.LANES])
     nvic = ptr32(state[s.NVIC])
     clock = ptr32(state[s.CLOCK_PIO])
-    other = clock
-    if s.RP2350:
-        other = ptr32(state[s.PIO1])
+    pio_1 = clock
+    if s.RP2350:  # there the clock may be on PIO 2
+        pio_1 = ptr32(state[s.PIO1])
     following = ptr32(state[s.ROW + (fed & s.LAST_ROW)])
     nvic[reg.DISABLE] = state[s.MASKED_IRQS]
     lost = (ptr32(state[s.PIO0])[reg.FDEBUG] >> reg.TXOVER) & state[s.OURS_0]
     if s.RP2350 and state[s.OURS_2]:
         lost |= (clock[reg.FDEBUG] >> reg.TXOVER) & state[s.OURS_2]
-    if lost | (other[reg.FDEBUG] >> reg.TXOVER) & state[s.OURS_1]:
+    if lost | (pio_1[reg.FDEBUG] >> reg.TXOVER) & state[s.OURS_1]:
         state[s.FAULT] = s.LOST
     if state[s.HALT] == 0 and state[s.FAULT] == 0:
         for i in range(axes):
@@ -324,21 +323,21 @@ def _launch(state: ptr32, fed: int) -> int:
         while (pio[reg.FLEVEL] >> 8 * (i & s.IN_BLOCK)) & _TX_LEVEL == 0 and patience:
             patience -= 1  # wait for DMA to write the first word
     now = ptr32(state[s.TIMER])[0] & MASK
-    first = state[s.OURS_0] * _ENABLE_RESTART
-    second = state[s.OURS_1] * _ENABLE_RESTART
+    bits_0 = state[s.OURS_0] * _ENABLE_RESTART
+    bits_1 = state[s.OURS_1] * _ENABLE_RESTART
     pio = ptr32(state[s.PIO0] + 4 * (reg.CTRL + reg.SET))
     clock = ptr32(state[s.CLOCK_PIO] + 4 * (reg.CTRL + reg.SET))
-    other = clock  # PIO 1
-    third = 0
+    pio_1 = clock
+    bits_2 = 0
     if s.RP2350:  # there the clock may be on PIO 2
-        other = ptr32(state[s.PIO1] + 4 * (reg.CTRL + reg.SET))
-        third = state[s.OURS_2] * _ENABLE_RESTART
+        pio_1 = ptr32(state[s.PIO1] + 4 * (reg.CTRL + reg.SET))
+        bits_2 = state[s.OURS_2] * _ENABLE_RESTART
     # No interrupt can come in between (_start_transfer masks them). The writes compile to nine
     # cycles, a tick has ten; with the third, an RP2350's tick has twelve.
-    pio[0] = first
-    other[0] = second
-    if s.RP2350 and third:
-        clock[0] = third
+    pio[0] = bits_0
+    pio_1[0] = bits_1
+    if s.RP2350 and bits_2:
+        clock[0] = bits_2
     for k in range(state[s.FED], fed):
         row = ptr32(state[s.ROW + (k & s.LAST_ROW)])
         begins = ROW_AXES + ROW_STRIDE * axes

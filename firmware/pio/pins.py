@@ -58,7 +58,7 @@ class GpioPort(PortPins):
 
     def __init__(self, board: "ModuleType") -> None:
         enables = getattr(board, "ENABLE", None)
-        super().__init__(board, (Timer(), Timer()), enables, True)
+        super().__init__(board, (Timer(), Timer()), enables, has_hard=True)
         if RP2350:  # this build supports one: only that chip has pins above 31
             for number in self._input_numbers:
                 if _LAST_COMMON_PIN < number < NOT_WIRED:

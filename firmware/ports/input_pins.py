@@ -221,11 +221,11 @@ class PortInputs:
             pin.irq().trigger(0)  # disarm it
             if self._is_settling and self._debounce_ms and pin is not self._estop:
                 return  # a bounce
-            seen = self._mask_if_active(pin)
-            self._controls_seen |= seen  # also if the listener fails
-            self._listener.on_controls(seen)  # before the other inputs are read
+            active = self._mask_if_active(pin)
+            self._controls_seen |= active  # also if the listener fails
+            self._listener.on_controls(active)  # before the other inputs are read
             if self.after_controls:
-                self.after_controls(seen)
+                self.after_controls(active)
             self._controls_seen = self.controls()
             if not self._is_settling:
                 self._start_settling()
@@ -306,8 +306,7 @@ class PortInputs:
         """Report a contact if the pin still has its level. After too many edges that were over by
         then disarm the pin for a while. Interrupt."""
         try:
-            # Counted before the pin is read; after a contact the number no longer matters.
-            self._misses += 1
+            self._misses += 1  # unless this is the contact: then the number no longer matters
             is_bouncing = self._misses >= _MOST_MISSES
             if is_bouncing:
                 pin.irq().trigger(0)

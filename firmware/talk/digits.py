@@ -41,7 +41,8 @@ def scaled(x: ptr32, index: int, decimals: int) -> int:
     """Return |x[index]| * 10**decimals, rounded to the nearest whole number; -1 if that needs more
     than 31 bits. x: floats as bits; index: in x.
 
-    `number` is the mantissa, below 2**24, so `number * 100` fits 31 bits.
+    `number` is the mantissa, below 2**24, so `number * 100` fits 31 bits. Each product, and the
+    sum with 0.5, is rounded to 24 bits as Grbl's single precision is.
     """
     exponent = ((x[index] >> 23) & 255) - _EXPONENT_BIAS  # |x[index]| = number * 2**exponent
     if exponent == 255 - _EXPONENT_BIAS:  # infinite, or not a number

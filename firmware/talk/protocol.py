@@ -95,15 +95,15 @@ class Protocol:
                     self._motor_control.by_pin = False
                     self.link.discard()
                 self.restart()
-                answers_query = 0  # not 0: this turn, later the last one, answers a ?
+                answers_query = 0  # not 0: the last turn has answered a ?
                 while True:
                     if echoes or state.suspend or state.run & _LOCKED:
                         result = clean(ring, reader_state, line, kinds)
                         counts[ASKED] = 0
                         if result == NOTHING:
                             self.pump()
-                    else:
-                        result = run_lines(pending, loop_args)  # executes move-only lines
+                    else:  # executes move-only lines, and returns another one
+                        result = run_lines(pending, loop_args)
                     # Events and hooks are handled here, not at each line; always before a $ line,
                     # which may ask about their effect.
                     counts[LINES_LEFT] -= _IN_PYTHON

@@ -271,24 +271,24 @@ class Report:
 
     # Its parts. Each call costs 40 us.
 
-    def _write_long(self, name: bytes, closed: int) -> int:
+    def _write_long(self, name: bytes, active: int) -> int:
         """Write a report with rare fields, or in inches. Returns its length in bytes.
 
-        name: the state, a form that begins the report; closed: mask of active inputs.
+        name: the state, a form that begins the report; active: mask of active inputs.
         """
         begin(name, self._begin_args)  # writes the name; puts the machine position into mm
         text, ints, mm = self._text, self._ints, self._mm
-        self._write_fields(text, ints, mm, closed)
+        self._write_fields(text, ints, mm, active)
         return write(b">\r\n\0", text, ints, mm)
 
     def _write_fields(
-        self, text: bytearray, ints: "array[int]", mm: "array[float]", closed: int
+        self, text: bytearray, ints: "array[int]", mm: "array[float]", active: int
     ) -> None:
         """Write all fields after the state.
 
         text: the report; mm: machine position, not written yet; unless $10 requests MPos:, it
         becomes work position in place. ints: from VALUES on, the integers of the form that is
-        written next. closed: mask of active inputs.
+        written next. active: mask of active inputs.
         """
         state, planner, settings = self._state, self._planner, self._settings
         report_mask, inches = settings.report_mask, settings.report_inches
@@ -303,8 +303,8 @@ class Report:
             if ints[VALUES]:  # 0: a line without a number, or none
                 write(b"|Ln:%\0", text, ints, mm)
         self._write_speeds(text, ints, state.run & MOVING, inches)
-        if closed:
-            ints[VALUES] = closed
+        if active:
+            ints[VALUES] = active  # bit 0 is P, the probe, and so on: see Inputs.active()
             write(b"|Pn:?P?X?Y?Z?A?B?C?D?R?H?S\0", text, ints, mm)
         if state.wco_countdown and state.override_countdown:  # neither WCO: nor Ov: is due
             state.wco_countdown -= 1

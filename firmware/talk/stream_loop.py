@@ -65,8 +65,9 @@ def run_lines(pending: ptr8, loop_args: object) -> int:
         _receive(pending, receiving, ring, reader, kinds)
     while lines_left > 0:
         result = int(clean(ring, reader, text, kinds))  # length << 2 | LINE or TOO_LONG; NOTHING
-        is_executed = 0 if pending[ANY] else result & LINE
-        if is_executed:  # a line; execute() returns 0 if it is not move-only
+        may_execute = 0 if pending[ANY] else result & LINE  # an event comes before the line
+        is_executed = 0  # stays 0 if the line is not move-only, or has to wait
+        if may_execute:
             is_executed = int(execute(line, result >> 2, modal, counts, memory))
         if is_executed:
             lines_left -= 1
@@ -95,9 +96,7 @@ def _receive(pending: ptr8, receiving: object, ring: ptr8, reader: ptr32, kinds:
     bytes, or 0 if an event is posted (ANY).
 
     It reads no more than the ring has space for, so nothing is lost if a sender does not count.
-    The piece to read is the whole buffer; if the ring has less space, _LONG or _SHORT bytes. After
-    a full piece of these it reads on; a piece that is not full means that nothing more has
-    arrived.
+    The piece to read is the whole buffer; if the ring has less space, _LONG or _SHORT bytes.
 
     pending: State.pending; receiving: see kernel_args(); ring, reader, kinds: see lines.feed().
     """
@@ -114,6 +113,7 @@ def _receive(pending: ptr8, receiving: object, ring: ptr8, reader: ptr32, kinds:
         if read:
             feed(ptr8(piece), read, ring, reader, kinds, post)
         count += read
+        # All of _LONG or _SHORT bytes were there: more may wait.
         more = 1 if read == piece_size and piece_size <= _LONG else 0
         free = int(free_space(reader))
     return 0 if pending[ANY] else count

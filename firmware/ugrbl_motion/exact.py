@@ -66,7 +66,7 @@ def set_time(flow: ptr32, ring: ptr32, row: ptr32, motors: int, rest: ptr32) -> 
     fraction = fraction * steps + rest[0]  # of the whole row from here on
     exact = whole * steps + (fraction >> _FRACTION_BITS)  # the time that the row is to have
     change = exact - ticks
-    if change < 0:
+    if change < 0:  # without a sign from here on: exact > ticks says which way
         change = 0 - change
     near = (ticks >> _NEAR_LOG2) + (whole >> _END_LOG2)  # the planner's errors, in ticks
     rounding = ticks // ((ring[at + CRUISE] >> 1) + 1) + 2  # of CRUISE to a whole number
@@ -81,8 +81,8 @@ def set_time(flow: ptr32, ring: ptr32, row: ptr32, motors: int, rest: ptr32) -> 
         base = ROW_AXES + ROW_STRIDE * i  # its steps; the ticks of the first and the last follow
         end = base + 3 if row[base] else base + 1  # without steps it has no ticks
         for k in range(base + 1, end):
-            moved = (row[k] >> scale) * change // (ticks >> scale)  # change * tick / ticks
-            row[k] = row[k] + moved if exact > ticks else row[k] - moved
+            shift_ticks = (row[k] >> scale) * change // (ticks >> scale)  # change * tick / ticks
+            row[k] = row[k] + shift_ticks if exact > ticks else row[k] - shift_ticks
     return 1
 
 

@@ -147,7 +147,7 @@ class Group:
         is full. Returns the move's number for moved() and done(). Raises ValueError for unknown
         names and positions out of reach: nothing has changed then.
         """
-        return self._queue(speed, seconds, to, False)
+        return self._queue(speed, seconds, to, by=False)
 
     def move_by(
         self, speed: "float | None" = None, seconds: "float | None" = None, **by: float
@@ -156,7 +156,7 @@ class Group:
 
         What is rounded off to whole steps is made up by the next move: distances never drift.
         """
-        return self._queue(speed, seconds, by, True)
+        return self._queue(speed, seconds, by, by=True)
 
     def run(self, axis: "Axis", speed: float) -> int:
         """Queue a move of one axis without an end: Axis.run()."""
@@ -174,7 +174,7 @@ class Group:
         """Set outputs by name, 0 or 1, at the end of the queued moves; at once without any."""
         wanted = self._levels_after(levels)
         self._check()
-        self._lines.set_levels(wanted, True)
+        self._lines.set_levels(wanted, now=True)
 
     def _queue(
         self, speed: "float | None", seconds: "float | None", wanted: "dict[str, float]", by: bool
@@ -203,7 +203,7 @@ class Group:
                 raise ValueError("%s is out of reach, at %d steps from 0" % (axis.name, end))
             self._lines.ends[i] = end
         self._rounding = rounding
-        self._lines.set_levels(levels, False)  # False: not now, but as the move begins
+        self._lines.set_levels(levels, now=False)  # but as the move begins
         return self._lines.plan(*self._speeds(speed, seconds))
 
     def _levels_after(self, wanted: "Mapping[str, float]") -> int:

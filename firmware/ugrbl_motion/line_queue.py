@@ -112,7 +112,7 @@ class LineQueue:
         self._planner = planner = Planner(count, length, None, self._overrides)
         self._segments = ExactSegments(planner, array("i", (0,)))  # the fraction of a tick due
         dir_invert = sum([1 << i for i in range(count) if axes[i].invert])
-        engine.configure(pulse_us, 0, dir_invert)  # 0: STEP of no axis is inverted
+        engine.configure(pulse_us, step_invert=0, dir_invert=dir_invert)
         self.fastest_hz = engine.max_step_hz(pulse_us)
         planner.configure(
             _Limits(axes, scale, corner), engine.tick_hz, engine.segment_log2, self.fastest_hz
@@ -250,7 +250,7 @@ class LineQueue:
         none; after a fault nothing moves, and the outputs are off."""
         fault = self._engine.fault()
         if fault:
-            self.set_levels(0, False)
+            self.set_levels(0, now=False)
             self._hardware.write(0)  # outputs off
             self._restart()
             return fault

@@ -55,16 +55,12 @@ _COLON = const(58)  # ASCII
 _S = const(83)  # ASCII
 _MINUS_BYTE = const(3)  # the sign of a float is in this byte of its four,
 _MINUS = const(128)  # and is this bit
-_STRAIGHT_CUT = const(
-    CHECKED | MOVE | S_IN_MOTION
-)  # its words: a line with a cluster must have no others
+_STRAIGHT_CUT = const(CHECKED | MOVE | S_IN_MOTION)  # all that a line with a cluster may ask for
 
 # The array `clusters` has a row per block: the number of dots, 0 for a normal block, then their
 # powers, as a block's own power: PWM steps, or 1/64 of one if power follows speed.
 MOST = const(16)  # dots of a block
-CLUSTER_LENGTH = const(
-    17
-)  # integers of a block in the array `clusters`: number of dots, then their powers
+CLUSTER_LENGTH = const(17)  # integers of a block in `clusters`: number of dots, and their powers
 # The S values of a block's dots are in another array, MOST per block.
 
 # Indices into `dots`, the dots of the line just read: their number, then their S values, as bits
@@ -167,12 +163,12 @@ def write_dots(
     flow, ring, table: the planner's; row: the segment's; beam, levels: see laser.emit().
     clusters[cluster]: the number of the block's dots, with their powers after it.
 
-    All dots have equal length, and the first begins with the block. If power follows speed (M4), a
-    segment in which no dot begins has the power of the current dot at the segment's speed. Of the
-    block's events (steps of its leading motor), `before` are made when the segment begins, `done`
-    when it ends. changes: dots that begin in it; dot: the first of them, from 0, which begins at
-    events * dot / parts: whole + over / parts steps. first, last: ticks in the segment at which
-    the first and the last begin. If events are fewer than dots, there are only as many parts.
+    All dots have equal length, and the first_tick dot_begins with the block. If power follows speed (M4), a
+    segment in which no dot dot_begins has the power of the current dot at the segment's speed. Of the
+    block's events (steps of its leading motor), `events_before` are made when the segment dot_begins, `events_after`
+    when it ends. changes: dots that begin in it; dot: the first_tick of them, from 0, which dot_begins at
+    events * dot / parts: whole + over / parts steps. first_tick, last_tick: ticks in the segment at which
+    the first_tick and the last_tick begin. If events are fewer than dots, there are only as many parts.
     """
     at = flow[BLOCK_AT]  # index of the block in ring
     events = ring[at + EVENTS]
@@ -180,37 +176,37 @@ def write_dots(
     parts = count if count < events else events
     motor = int(leading_motor(ring, at))
     base = ROW_AXES + ROW_STRIDE * motor  # index in row of its number of steps
-    done = events - flow[MOTORS + 2 * motor]  # less the steps that it has left
-    before = done - row[base]
-    dot = int(dots_begun(before, events, parts))
-    changes = int(dots_begun(done, events, parts)) - dot
-    first = 0
-    last = 0
+    events_after = events - flow[MOTORS + 2 * motor]  # less the steps that it has left
+    events_before = events_after - row[base]
+    dot = int(dots_begun(events_before, events, parts))
+    changes = int(dots_begun(events_after, events, parts)) - dot
+    first_tick = 0
+    last_tick = 0
     dynamic = ring[at + FLAGS] & DYNAMIC
     if changes:
         whole = events * dot // parts
         over = events * dot - whole * parts
-        if before:
-            first = int(reach(row, base, whole - before, over, parts))
+        if events_before:
+            first_tick = int(reach(row, base, whole - events_before, over, parts))
         last_dot = dot + changes - 1
         whole = events * last_dot // parts
         over = events * last_dot - whole * parts
-        last = int(reach(row, base, whole - before, over, parts)) if changes > 1 else first
+        last_tick = int(reach(row, base, whole - events_before, over, parts)) if changes > 1 else first_tick
     elif dynamic:
         changes = 1  # at the segment's start: the current dot's power at the new speed
         dot -= 1
-    begins = dot * events >= before * parts  # 1: `dot` begins here; 0: it has begun before
-    part = int(speed_share(flow, ring))
+    dot_begins = dot * events >= events_before * parts  # 1: `dot` dot_begins here; 0: it has begun events_before
+    speed = int(speed_share(flow, ring))
     for i in range(changes):
         index = dot + i if parts == count else (dot + i) * count // parts  # of the dot
         power = clusters[cluster + 1 + index]
         if dynamic:
-            power = int(scaled_power(table, power, part))
-        if begins or power != beam[LEVEL]:
+            power = int(scaled_power(table, power, speed))
+        if dot_begins or power != beam[LEVEL]:
             emit(beam, levels, power)
         else:
             changes = 0  # the power of the current dot is still right
-    place_changes(table, row, beam, changes, first, last)
+    place_changes(table, row, beam, changes, first_tick, last_tick)
     return 0
 
 

@@ -260,7 +260,7 @@ def slot_for(address: str, clients: "list[Client]", at_rest: bool, now_ms: int) 
     place without the key is given that one, once overdue, and no other client's.
     """
     most_overdue = own = None  # own: a place without the key from the same address
-    most_ms = 0
+    most_ms = 0  # by how much most_overdue is
     for client in clients:
         if not client.conn:
             return client

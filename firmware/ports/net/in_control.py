@@ -49,7 +49,7 @@ class Control:
         """Give the machine to a client that is not in control, if that is allowed. Returns
         whether. at_rest: the machine is idle. reads: its line only reads, so the machine is only
         lent: not while another borrows it, nor in the middle of a line."""
-        if reads and client is self.driver:  # a borrower's next line
+        if reads and client is self.driver:  # it borrows the machine already: its next line
             self._unanswered_reads += 1
             return True
         if not self._is_free(client, at_rest, now_ms):
@@ -59,7 +59,7 @@ class Control:
         elif self.is_borrowed() or self.has_partial_line():
             return False
         else:
-            self.driver, self._unanswered_reads = client, 1
+            self.driver, self._unanswered_reads = client, 1  # lend the machine
             self.ending = True  # the owner's lines are executed first: see done()
         return True
 

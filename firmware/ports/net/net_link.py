@@ -170,7 +170,8 @@ class NetLink:
         return len([1 for client in self._clients if client.conn])
 
     def _restore_plain(self) -> None:
-        """Let the cable's bytes pass unchecked again, if no network client is left."""
+        """Let the cable's bytes pass unchecked again (_is_plain), if no network client is left. If
+        none is in control then, the cable's client is."""
         control, cable_client = self.control, self._cable_client
         if not control.ending and not self.client_count():
             if control.driver is None:
@@ -212,28 +213,29 @@ class NetLink:
     def _read_driver(self, driver: Client, buf: bytearray, now_ms: int) -> int:
         """Read the network client whose lines are executed. Returns how many bytes were put into
         buf; 0 if there are none, or if each is checked and stored first."""
-        is_open = self._passes_unchecked(driver)  # its bytes pass unchecked
-        if not is_open and not driver.may_read():
+        unchecked = self._passes_unchecked(driver)
+        if not unchecked and not driver.may_read():
             return 0
-        piece = buf if is_open else self._piece
+        piece = buf if unchecked else self._piece
         count = driver.read(piece)
         if count < 0:
             self._drop(driver)
         elif count:
             driver.note_received(now_ms)
-            if is_open:
+            if unchecked:
                 return self._note_unchecked(driver, buf, count, now_ms)
             self._filter_bytes(driver, piece, count, now_ms)
-        elif not driver.send():
+        elif not driver.send():  # its connection has failed
             self._drop(driver)
         return 0
 
     def _note_unchecked(self, driver: Client, buf: bytearray, count: int, now_ms: int) -> int:
-        """Note of bytes that are passed on unchecked whether they ask for a report (?), and the
-        time of those that are more than one read-only line. Returns count, for the caller."""
+        """Note what a piece of input (`count` bytes of buf) means for control, before it passes
+        unchecked: it requests a report (?); it is more than one read-only line, so that its client
+        keeps control. Returns count, for the caller to return."""
         if asks(buf, count):
             driver.asked = True
-        # plain() removes ? and line ends. Of a lone ? nothing is left; READ_ONLY_LINES has b"".
+        # plain() drops ? and line ends: a lone ? becomes b"", which READ_ONLY_LINES contains.
         if count > _LONGEST_READ_ONLY or plain(buf[:count]) not in READ_ONLY_LINES:
             driver.last_line_ms = now_ms
         return count
@@ -321,8 +323,8 @@ class NetLink:
         others only in control, which the client gets here if that is allowed."""
         if not client.trusted:
             return False
-        is_owner = client is self.control.owner
-        return is_owner or byte in _STOPS or self._request_control(client, False, now_ms)
+        acts = client is self.control.owner or byte in _STOPS
+        return acts or self._request_control(client, reads=False, now_ms=now_ms)
 
     def _request_control(self, client: Client, reads: bool, now_ms: int) -> bool:
         """Give the machine to a client, if allowed; return whether. reads: its line only reads."""
@@ -345,7 +347,7 @@ class NetLink:
         if client is self.control.owner:
             client.end_line(byte, now_ms)
             return
-        start = client.ready  # lines before this index wait already
+        start = client.ready  # of this line; those before it wait already
         line = plain(client.received[start : client.length])
         reads = line in READ_ONLY_LINES
         answer = b""
@@ -360,7 +362,7 @@ class NetLink:
         if not answer:
             client.end_line(byte, now_ms)
             return
-        client.length = start
+        client.length = start  # drop the line, which is answered here
         client.is_too_long = False
         self._send(client, answer)
         if not client.tries:

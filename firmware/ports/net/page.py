@@ -231,7 +231,7 @@ class Page:
             if time.ticks_diff(now_ms, visitor.begun_ms) >= _SILENT_MS:
                 self._end_visit(visitor)
             return None
-        if not count or visitor.waiting_request:  # it has closed, or does not wait for the answer
+        if not count or visitor.waiting_request:  # closed, or it sends before we have answered
             self._end_visit(visitor)
             return None
         fields = visitor.add_bytes(bytes(memoryview(self._read)[:count]))
@@ -345,7 +345,7 @@ class Page:
         head = _FORMS[_ANSWER_HEAD] % (b"200 OK", _KINDS[kind], count) + more
         random_hex = binascii.hexlify(os.urandom(_RANDOM_BYTES))
         if kind == _HTML_KIND:  # the file's text has a path to replace
-            visitor.proof = _FORMS[_PIECE_PATH] % (0, random_hex)
+            visitor.proof = _FORMS[_PIECE_PATH] % (0, random_hex)  # NAME's first piece
             path_at = bytes(out[_HEAD_BYTES:]).find(_FORMS[_PATH_IN_FIRST]) + _HEAD_BYTES
             out[path_at : path_at + len(visitor.proof)] = visitor.proof
         elif count:

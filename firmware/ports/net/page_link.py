@@ -41,7 +41,7 @@ class PageLink(NetLink):
         watchers = len([1 for client in self._clients if client.conn and client is not driver])
         for client in self._clients:
             socket = client.conn
-            if not isinstance(socket, WebSocket):
+            if not isinstance(socket, WebSocket):  # no page
                 continue
             # A number that differs whenever the text differs; the websocket sends `news`.
             state = watchers * 8 + client.trusted * 4 + (client is driver) * 2 + (driver is None)

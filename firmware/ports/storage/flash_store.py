@@ -63,7 +63,7 @@ class FlashStore:
     def load(self, name: str) -> "list[str] | None":
         """Return the lines stored under a name: [] if nothing was ever stored, None if no copy is
         whole. If an older copy is used, or none, the name is noted in `damaged`."""
-        is_damaged = False
+        is_damaged = False  # a file that should be whole exists and is not
         for suffix in (_NOW, _NEW, _OLD):
             data, exists = self._read(self._folder + name + suffix)
             lines = None if data is None else _lines(data)

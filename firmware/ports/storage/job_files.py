@@ -165,7 +165,8 @@ class JobFiles:
 
     def size(self, name: str) -> int:
         """Return a job's bytes; -1 if there is none of that name."""
-        return self._find_job(name)[1]
+        _, size = self._find_job(name)
+        return size
 
     def open(self, name: str) -> "IO[bytes]":
         """Open a job to read it. OSError if there is none, or it cannot be read."""

@@ -304,12 +304,12 @@ class UsbLink:
 
     def _make_write(self) -> "Callable[[bytes | bytearray | memoryview], None]":
         """Return write(), which collects answers and sends them (see _collect())."""
-        memory, keep, send, make_room = self._memory, _add_answer, self._send, self._make_room
+        memory, add, send, make_room = self._memory, _add_answer, self._send, self._make_room
 
         # Eleven values including those it passes on: MicroPython allocates at each call for more.
         def write(data: "bytes | bytearray | memoryview") -> None:
             """Collect an answer, or send it with those that wait."""
-            due = keep(memory, data, len(data))  # bytes to send now, _LATER, or 0: no space
+            due = add(memory, data, len(data))  # bytes to send now, _LATER, or 0: no space
             if due > _LATER:
                 send(due)
             elif not due:

@@ -80,16 +80,16 @@ def find_line(memory: ptr32) -> int:
 def find(
     state: "array.array[int]",
     drain: "Callable[[], bytearray]",
-    take: "Callable[[array.array[int], bytearray, int], int]",
+    read_ring: "Callable[[array.array[int], bytearray, int], int]",
 ) -> None:
     """Store both addresses in a link's state (RING_ADDRESS, LINE_STATE_ADDRESS), 0 if not found.
-    drain: reads all bytes received; take: usb_link._read_ring, which reads from the ring at
+    drain: reads all bytes received; read_ring: usb_link._read_ring, which reads from the ring at
     RING_ADDRESS.
 
     Some bytes are received as a trial, and memory is searched for them. A place that has them is
     the ring if it also gets a second trial. Bytes received meanwhile are put back.
     """
-    early = drain()
+    received = drain()  # from the sender, before and during the trials
     try:
         push(_TRIALS[0])
     except (AttributeError, OSError):
@@ -100,14 +100,14 @@ def find(
         index = _find(_MEMORY, index + 1, _TRIALS[0], len(_TRIALS[0]))
         if index < 0:
             break
-        state[RING_ADDRESS] = _MEMORY + 4 * index  # where take() reads
+        state[RING_ADDRESS] = _MEMORY + 4 * index  # where read_ring() reads
         trial = bytearray(len(_TRIALS[0]))
-        take(state, trial, len(trial))
+        read_ring(state, trial, len(trial))  # if this is the ring, the first trial is removed
         push(_TRIALS[1])
         if _find(_MEMORY, index, _TRIALS[1], len(_TRIALS[1])) == index:
             ring = state[RING_ADDRESS]
-    early += drain()
-    text = bytes(early).replace(_TRIALS[0], b"").replace(_TRIALS[1], b"")
+    received += drain()
+    text = bytes(received).replace(_TRIALS[0], b"").replace(_TRIALS[1], b"")
     if text:
         push(text)
     state[RING_ADDRESS] = ring
