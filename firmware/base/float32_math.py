@@ -126,7 +126,7 @@ def quotient(values: ptr32, at: int, divisors: ptr32, of: int) -> int:
     if exponent == 0:
         return 0
     sign = (ptr8(values)[4 * at + 3] ^ ptr8(divisors)[4 * of + 3]) & MINUS
-    exponent += 127 - ((divisors[of] >> 23) & 255)
+    exponent += 127 - ((divisors[of] >> 23) & 255)  # the difference, with the bias again
     number = (values[at] & _FRACTION) | _LEADING
     divisor = (divisors[of] & _FRACTION) | _LEADING
     if number < divisor:  # mantissas() needs a quotient of 1 or more
@@ -210,12 +210,12 @@ def add_single(a: ptr32, i: int, b: ptr32, j: int) -> int:
     x = (a[i] & _MAGNITUDE) | ((ptr8(a)[4 * i + 3] & 64) << 24)
     y = (b[j] & _MAGNITUDE) | ((ptr8(b)[4 * j + 3] & 64) << 24)
     if x < y:  # exchange them, so that x is the larger, and sign_a the sum's sign
-        other = x
+        smaller = x
         x = y
-        y = other
-        other = sign_a
+        y = smaller
+        smaller_sign = sign_a
         sign_a = sign_b
-        sign_b = other
+        sign_b = smaller_sign
     exponent = x >> 23
     shift = exponent - (y >> 23)
     if y >> 23 and shift < 27:  # else y is 0, or too small to change the sum

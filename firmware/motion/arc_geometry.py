@@ -120,7 +120,7 @@ def _direction(r: ptr32, y: int, x: int) -> int:
         r[ANGLE] = r[y]
         quotient(r, ANGLE, r, x)
     wide = 1 if r[ANGLE] > _FLAT else 0  # bits of floats compare as they do
-    if wide:
+    if wide:  # (t - 1) / (t + 1)
         r[A] = r[ANGLE]
         add_single(r, _ONE, r, A)
         subtract(r, ANGLE, r, _ONE)
@@ -128,10 +128,10 @@ def _direction(r: ptr32, y: int, x: int) -> int:
     _series(r, ANGLE, _ATAN_FACTORS, _ATAN_TERMS)
     if wide:
         add_single(r, _QUARTER_PI, r, ANGLE)
-    if steep:
+    if steep:  # pi / 2 - ANGLE
         ptr8(r)[4 * ANGLE + 3] ^= MINUS  # negate
         add_single(r, _HALF_PI, r, ANGLE)
-    if x_negative:
+    if x_negative:  # pi - ANGLE
         ptr8(r)[4 * ANGLE + 3] ^= MINUS  # negate
         add_single(r, _PI, r, ANGLE)
     ptr8(r)[4 * ANGLE + 3] ^= y_negative
@@ -152,7 +152,7 @@ def _is_short(r: ptr32, plane: ptr32, start: ptr32, target: ptr32) -> int:
         rounding = target[axis] & int(0x7FFFFFFF)
         if rounding < start[axis] & int(0x7FFFFFFF):
             rounding = start[axis] & int(0x7FFFFFFF)
-        rounding -= 23 * _TWICE  # halved 23 times: its last bit, or two
+        rounding -= 23 * _TWICE  # halved 23 times: one or two units in the last place
         if r[C] < rounding:
             r[C] = rounding
     if r[A] & int(0x7FFFFFFF) <= r[C] and r[B] & int(0x7FFFFFFF) <= r[C]:
@@ -329,14 +329,14 @@ def _place_axes(
         course[at + arcs.POSITION_REST] = 0
         course[at + arcs.STEP_BITS] = bits
         course[at + arcs.CHORD_ADVANCE] = int(0x40000000)  # 1 << ADVANCE_BIAS_LOG2
-        is_one = 1 if i == plane[ONE_AXIS] else 0
-        if is_one or i == plane[OTHER_AXIS]:
-            r[B] = r[CENTRE_0] if is_one else r[CENTRE_1]
+        is_one_axis = 1 if i == plane[ONE_AXIS] else 0
+        if is_one_axis or i == plane[OTHER_AXIS]:
+            r[B] = r[CENTRE_0] if is_one_axis else r[CENTRE_1]
             multiply(r, B, r, A)
             course[at + arcs.CENTRE] = course[at] + int(whole_part(r, B, 0))
-            second = 1 if is_one == plane[CLOCKWISE] else 0  # their order is the direction
+            second = 1 if is_one_axis == plane[CLOCKWISE] else 0  # their order is the direction
             course[arcs.PLANE_AXES + second] = at
-            r[C if second else _UNIT_RATIO] = r[A]
+            r[C if second else _UNIT_RATIO] = r[A]  # divided by each other at the end
         else:
             r[B] = target[i]
             multiply(r, B, r, A)

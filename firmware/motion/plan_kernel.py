@@ -127,22 +127,22 @@ def limit(table: ptr32, ring: ptr32, at: int) -> int:
             # axis's speed; 2, its acceleration.
             scale = ((length & MANTISSA) << 14) // (mm & MANTISSA)
             for k in range(1, 3):
-                # The real limit * length / mm.
-                limiting = table[LIMITS + 3 * i + k]
-                mantissa = ((limiting & MANTISSA) * scale) >> 14
-                exponent = (limiting >> 15) + shift
+                # The real axis limit * length / mm.
+                axis_limit = table[LIMITS + 3 * i + k]
+                mantissa = ((axis_limit & MANTISSA) * scale) >> 14
+                exponent = (axis_limit >> 15) + shift
                 if mantissa >= LIMIT:
                     mantissa >>= 1
                     exponent += 1
                 elif mantissa < SMALLEST:
                     mantissa <<= 1
                     exponent -= 1
-                limiting = (exponent << 15) + mantissa
+                path_limit = (exponent << 15) + mantissa
                 if k == 1:
-                    if limiting < rapid:
-                        rapid = limiting
-                elif limiting < accel:
-                    accel = limiting
+                    if path_limit < rapid:
+                        rapid = path_limit
+                elif path_limit < accel:
+                    accel = path_limit
         table[direction + i] = component
     ring[at + RAPID] = rapid
     ring[at + ACCEL] = accel
@@ -179,15 +179,15 @@ def junction_speed_sqr(table: ptr32, dirs: int) -> int:
         if change or component != _UNIT:
             # accel / |D_i|, a real; + 1, because an axis whose change is rounded to 0 may still be
             # the weakest.
-            accel = table[LIMITS + 3 * i + 2]  # a real, mm/s2
-            mantissa = ((accel & MANTISSA) << 15) // (change + 1)
-            exponent = (accel >> 15) - 15
+            axis_accel = table[LIMITS + 3 * i + 2]  # a real, mm/s2
+            mantissa = ((axis_accel & MANTISSA) << 15) // (change + 1)
+            exponent = (axis_accel >> 15) - 15
             while mantissa >= LIMIT:
                 mantissa >>= 1
                 exponent += 1
-            accel = (exponent << 15) + mantissa
-            if accel < least:
-                least = accel
+            path_accel = (exponent << 15) + mantissa
+            if path_accel < least:
+                least = path_accel
     # |D|**2 in 2**-28, so 2**30 is a reversal.
     if squares < _STRAIGHT:
         return HIGHEST
@@ -317,7 +317,7 @@ def limit_entry(ring: ptr32, flow: ptr32, row: int) -> int:
     speeds squared of this block and the one before. row: number of its row. Returns 0."""
     size = flow[ROW_SIZE]
     at = row * size
-    previous = (row if row else flow[ROWS]) * size - size
+    previous = (row if row else flow[ROWS]) * size - size  # index of the block before
     entry = ring[at + JUNCTION_SQR]
     if entry > ring[at + NOMINAL_SQR]:
         entry = ring[at + NOMINAL_SQR]
@@ -379,15 +379,15 @@ def reverse_pass(ring: ptr32, flow: ptr32, everything: int) -> int:
     how many blocks were visited.
     """
     size = flow[ROW_SIZE]
-    head = flow[HEAD]
+    row = flow[HEAD]  # number of the row, from the newest block back
     tail = flow[TAIL]
     exit_sqr = 0  # entry speed squared of the following block: the newest one ends at speed 0
     visited = 0
-    while head != tail:
-        head = head - 1 if head else flow[ROWS] - 1
-        if head == tail:
+    while row != tail:
+        row = row - 1 if row else flow[ROWS] - 1
+        if row == tail:
             break
-        at = head * size
+        at = row * size
         entry = exit_sqr + ring[at + DELTA_SQR]
         if entry > ring[at + MAX_ENTRY_SQR]:
             entry = ring[at + MAX_ENTRY_SQR]

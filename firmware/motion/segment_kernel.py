@@ -149,8 +149,8 @@ def look_ahead(flow: ptr32, ring: ptr32, scale: int) -> int:
         while sqr and sqr < 1 << 28:
             sqr <<= 2
             exponent -= 1
-        root = int(square_root(sqr))
-        root = (exponent << 15) + root if root else 0
+        mantissa = int(square_root(sqr))
+        root = (exponent << 15) + mantissa if mantissa else 0
         flow[LEAVE_SPEED] = int(product(root, scale, ring[flow[BLOCK_AT] + FACTOR]))
     return flow[LEAVE_SPEED]
 

@@ -107,5 +107,5 @@ class Segments:
         rpm = self._planner.speeds[at // flow[layout.ROW_SIZE]]
         if not flags & layout.DYNAMIC:
             return rpm
-        programmed_rate = ratio(programmed, ring[at + FACTOR])  # a real, mm/s, as rate() is
+        programmed_rate = ratio(programmed, ring[at + FACTOR])  # a real, mm/s, as rate() returns
         return f32(rpm * value(self.rate()) / value(programmed_rate))

@@ -154,7 +154,7 @@ def convert(row: ptr32, lanes: ptr32, words: ptr32, timing: ptr32) -> int:
                 carry -= _ALL_DELAY
             words[ring + head] = level | (1 << _STEPS_SHIFT) | (carry << _DELAY_SHIFT)  # first
             head = (head + 1) & RING_MASK
-            carry = 0 - row[base + _FIRST_TICK] - timing[PULSE] - _AFTER_TICKS
+            carry = 0 - row[base + _FIRST_TICK] - timing[PULSE] - _AFTER_TICKS  # + ROW_TICKS below
             steps -= 1
             if steps:  # gaps: some are a tick longer; of these half come first, half last
                 span = row[base + _LAST_TICK] - row[base + _FIRST_TICK]

@@ -53,9 +53,9 @@ def _stopped_position(state: ptr32, axis: int) -> int:
     dma = ptr32(state[s.DMA + axis])
     lanes = ptr32(state[s.LANES])
     player = ptr32(lanes[LANE * axis + MACHINE])  # registers of the lane's machine
-    end = lanes[LANE * axis + SENT_PLACE]
+    position_at_end = lanes[LANE * axis + SENT_PLACE]
     if state[s.RUNNING] == 0:
-        return end
+        return position_at_end
     player[reg.INSTR] = _SAVE_X
     # A word between DMA and FIFO is counted nowhere: wait until DMA has no more words, or the FIFO
     # is full.
@@ -73,7 +73,8 @@ def _stopped_position(state: ptr32, axis: int) -> int:
     player[reg.INSTR] = _PUSH
     sent = lanes[LANE * axis + SENT]
     x = pio[reg.RXF + number]
-    return end - int(undone(state[s.WORDS], axis, sent, waiting + unmoved, address, x))
+    left = int(undone(state[s.WORDS], axis, sent, waiting + unmoved, address, x))  # steps
+    return position_at_end - left
 
 
 @micropython.viper

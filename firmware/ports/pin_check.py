@@ -33,7 +33,7 @@ def check(board: "ModuleType", motors: "tuple[str, ...]", others: "tuple[str, ..
         for pin in value if isinstance(value, tuple) else (value,):
             if pin is None:
                 continue
-            if pin in used and not name == used[pin] == "LIMIT":
+            if pin in used and not name == used[pin] == "LIMIT":  # two limits may share it
                 raise ValueError("%s: pin %s is %s already" % (name, pin, used[pin]))
             used[pin] = name
             try:

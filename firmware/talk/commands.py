@@ -248,7 +248,7 @@ class Commands:
         self._check_stop()
         if self._inputs.door_open():
             raise GrblError(errors.CHECK_DOOR)
-        axes = 0  # mask; 0: all axes
+        axes = 0  # mask of the axes to home; 0: all
         if length > 2:
             axis = b"XYZABC".find(line[2:3], 0, len(self._modes.position))  # that this machine has
             if axis < 0 or length > 3 or not self._single_axis_homing:

@@ -180,7 +180,7 @@ class Controller:
         may be longer without a reset by the watchdog; written: notifies the engine after a write,
         None if it needs no notice.
         """
-        lit = False  # before() has switched a laser off
+        lit = False  # before() has switched a laser off, which after() switches on again
         state, spindle, modes = self.state, self.spindle, self.modes
 
         def before() -> None:

@@ -191,14 +191,14 @@ class Group:
         self._wait_for_space()
         rounding = self._rounding[:]  # a copy, because the move may still be refused
         for i, axis in enumerate(self.axes):
-            end = self._lines.end(i)  # of the queued moves, in steps; becomes this move's end
+            end = start = self._lines.end(i)  # where the queued moves end, in steps
             if axis.name in wanted:
                 exact = wanted[axis.name] * axis.steps_per_unit
                 if by:
                     exact += rounding[i]
                 steps = math.floor(exact + 0.5)
                 rounding[i] = exact - steps
-                end = end + steps if by else steps
+                end = start + steps if by else steps
             if not -REACH <= end <= REACH:
                 raise ValueError("%s is out of reach, at %d steps from 0" % (axis.name, end))
             self._lines.ends[i] = end

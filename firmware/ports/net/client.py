@@ -224,7 +224,7 @@ class Client:
         count = len(data)
         if self._out_length + count > _OUT_BYTES and not self.send():
             return False
-        if self._out_length + count > _OUT_BYTES:
+        if self._out_length + count > _OUT_BYTES:  # still no space
             return False
         self._out[self._out_length : self._out_length + count] = data
         self._out_length += count

@@ -280,10 +280,10 @@ class NetLink:
         if self._is_plain:  # the first network client
             self._is_plain = False
             control = self.control
-            is_free = control.is_silent(self._cable_client, now_ms)
-            is_free = is_free and not control.has_partial_line() and self._at_rest()
-            if self._cable_never_used or is_free:
-                control.set(None)
+            is_silent = control.is_silent(self._cable_client, now_ms)
+            is_unused = is_silent and not control.has_partial_line() and self._at_rest()
+            if self._cable_never_used or is_unused:
+                control.set(None)  # the cable's client is no longer in control
         place.begin(conn, address, now_ms)
         place.put(self.welcome)
         if not place.send():
@@ -311,11 +311,11 @@ class NetLink:
                 self._end_line(client, byte, now_ms)
             else:
                 client.keep(byte)
-                if client is self.control.owner:
+                if client is self.control.owner:  # its bytes need not wait for a line's end
                     client.ready = client.length
                 elif is_browser(client.received, client.length):
                     self._drop(client)
-            if not client.conn and client is not self._cable_client:
+            if not client.conn and client is not self._cable_client:  # it was dropped
                 return
 
     def _may_act(self, client: Client, byte: int, now_ms: int) -> bool:
@@ -333,10 +333,10 @@ class NetLink:
     def _queue_realtime(self, byte: int) -> None:
         """Queue a real-time byte, to be passed before all lines. A stop always finds space."""
         count = self._urgent_count
-        if byte in bytes(self._urgent[:count]):
+        if byte in bytes(self._urgent[:count]):  # queued already
             return
         if count == _URGENT and byte in _STOPS:
-            count -= 1
+            count -= 1  # it replaces the last one
         if count < _URGENT:
             self._urgent[count] = byte
             self._urgent_count = count + 1

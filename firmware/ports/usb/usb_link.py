@@ -117,7 +117,7 @@ def _read_ring(state: ptr32, buf: ptr8, room: int) -> int:
         count += 1
     indices[_GET] = get
     state[LOOP_READS_RING] = 0
-    flag = HAS_CONTROL_BYTES if count else RING_WAS_FULL
+    flag = HAS_CONTROL_BYTES if count else RING_WAS_FULL  # index; what waits outside comes later
     if state[REOPENED] | state[STOP_CAUSE] | state[flag]:
         return count | _HAS_FLAGS
     if count == 0 and state[ANSWER_BYTES]:
@@ -306,7 +306,7 @@ class UsbLink:
         """Return write(), which collects answers and sends them (see _collect())."""
         memory, add, send, make_room = self._memory, _add_answer, self._send, self._make_room
 
-        # Eleven values including those it passes on: MicroPython allocates at each call for more.
+        # Its values and those that it passes on are eleven: for more MicroPython allocates memory.
         def write(data: "bytes | bytearray | memoryview") -> None:
             """Collect an answer, or send it with those that wait."""
             due = add(memory, data, len(data))  # bytes to send now, _LATER, or 0: no space
