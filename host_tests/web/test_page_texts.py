@@ -252,6 +252,7 @@ def jobs(reader: Reader) -> None:
     # Both ask before they start: line 5 is not the first line.
     for button in ("#run", "#outline"):
         reader.click(button)
+        reader.waits("document.getElementById('dialog').open")
         reader.looks()
         reader.click("#dialog-no")
     reader.page.fill("#from", "1")
