@@ -78,7 +78,7 @@ def read_dots(line: object, span: int, found: int, memory: object) -> int:
 
     span: the end of the line in bits 8 to 15. found, and the result, as scan() returns them: count
     of words in bits 0 to 7, error number << 8, index in the line of the colon << 16; 0 for none.
-    ints[ONLY] is set, so that the line is refused if it asks for more than a straight cut.
+    ints[ONLY] is set: a line that asks for more than a straight cut is refused for that.
     """
     _letters, _values, _dots, _ints = memory
     text = ptr8(line)
@@ -126,7 +126,8 @@ def reach(row: ptr32, base: int, whole: int, over: int, parts: int) -> int:
     with the gap between two steps, in ticks.
     """
     gaps = row[base] - 1
-    gap = (row[base + 2] - row[base + 1]) // gaps if gaps > 0 else row[ROW_TICKS]
+    span = row[base + 2] - row[base + 1]  # ticks from the first step to the last one
+    gap = span // gaps if gaps > 0 else row[ROW_TICKS]
     return int(step_tick(row, base, whole)) + gap // (2 * parts) * (2 * over - parts)
 
 
@@ -163,12 +164,10 @@ def write_dots(
     flow, ring, table: the planner's; row: the segment's; beam, levels: see laser.emit().
     clusters[cluster]: the number of the block's dots, with their powers after it.
 
-    All dots have equal length, and the first_tick dot_begins with the block. If power follows speed (M4), a
-    segment in which no dot dot_begins has the power of the current dot at the segment's speed. Of the
-    block's events (steps of its leading motor), `events_before` are made when the segment dot_begins, `events_after`
-    when it ends. changes: dots that begin in it; dot: the first_tick of them, from 0, which dot_begins at
-    events * dot / parts: whole + over / parts steps. first_tick, last_tick: ticks in the segment at which
-    the first_tick and the last_tick begin. If events are fewer than dots, there are only as many parts.
+    All dots have equal length, and the first begins with the block. If power follows speed (M4), a
+    segment in which no dot begins has the power of the current dot at the segment's speed. Events
+    are steps of the block's leading motor. Dot n, from 0, begins at events * n / parts, which is
+    whole + over / parts steps. If events are fewer than dots, there are only as many parts.
     """
     at = flow[BLOCK_AT]  # index of the block in ring
     events = ring[at + EVENTS]
@@ -176,33 +175,35 @@ def write_dots(
     parts = count if count < events else events
     motor = int(leading_motor(ring, at))
     base = ROW_AXES + ROW_STRIDE * motor  # index in row of its number of steps
-    events_after = events - flow[MOTORS + 2 * motor]  # less the steps that it has left
-    events_before = events_after - row[base]
-    dot = int(dots_begun(events_before, events, parts))
-    changes = int(dots_begun(events_after, events, parts)) - dot
-    first_tick = 0
-    last_tick = 0
+    done_after = events - flow[MOTORS + 2 * motor]  # events made when the segment ends,
+    done_before = done_after - row[base]  # and when it begins
+    dot = int(dots_begun(done_before, events, parts))  # the first that begins in the segment
+    changes = int(dots_begun(done_after, events, parts)) - dot  # how many begin in it
+    first_tick = 0  # of the segment, when the first of them begins,
+    last_tick = 0  # and the last one
     dynamic = ring[at + FLAGS] & DYNAMIC
     if changes:
         whole = events * dot // parts
         over = events * dot - whole * parts
-        if events_before:
-            first_tick = int(reach(row, base, whole - events_before, over, parts))
-        last_dot = dot + changes - 1
-        whole = events * last_dot // parts
-        over = events * last_dot - whole * parts
-        last_tick = int(reach(row, base, whole - events_before, over, parts)) if changes > 1 else first_tick
+        if done_before:
+            first_tick = int(reach(row, base, whole - done_before, over, parts))
+        last_tick = first_tick
+        if changes > 1:
+            last_dot = dot + changes - 1
+            whole = events * last_dot // parts
+            over = events * last_dot - whole * parts
+            last_tick = int(reach(row, base, whole - done_before, over, parts))
     elif dynamic:
         changes = 1  # at the segment's start: the current dot's power at the new speed
         dot -= 1
-    dot_begins = dot * events >= events_before * parts  # 1: `dot` dot_begins here; 0: it has begun events_before
+    begins_here = dot * events >= done_before * parts  # 0: `dot` has begun before
     speed = int(speed_share(flow, ring))
     for i in range(changes):
         index = dot + i if parts == count else (dot + i) * count // parts  # of the dot
         power = clusters[cluster + 1 + index]
         if dynamic:
             power = int(scaled_power(table, power, speed))
-        if dot_begins or power != beam[LEVEL]:
+        if begins_here or power != beam[LEVEL]:
             emit(beam, levels, power)
         else:
             changes = 0  # the power of the current dot is still right

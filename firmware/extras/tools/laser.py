@@ -59,8 +59,8 @@ def emit(beam: ptr32, levels: ptr32, power: int) -> int:
     """Append a change of power (PWM steps) to the ring of levels. Returns 0.
 
     beam: the beam's state: beam[COUNT] changes so far, beam[LEVEL] the last power. level = power *
-    beam[FULL] / 2**FULL_LOG2; beam_layout.full() keeps the product within 31 bits. beam[BOTH] is a
-    factor by which the hardware's register gets the level once or twice.
+    beam[FULL] / 2**FULL_LOG2; beam_layout.full() keeps the product within 31 bits. The
+    factor beam[BOTH] makes a level the engine's format, as a register that has it twice.
     """
     levels[beam[COUNT] & LEVELS_MASK] = ((power * beam[FULL]) >> FULL_LOG2) * beam[BOTH]
     beam[COUNT] += 1
@@ -157,7 +157,7 @@ class Laser(Spindle):
 
     def on_motion_end(self) -> None:
         """Set the output to the power that the engine has set last, when motion has ended.
-        Interrupt. With M4 (dynamic power) the laser is dark at rest."""
+        Interrupt. With M4 (dynamic power) the laser is off while idle."""
         beam = self._beam
         if self._reversed and self.laser:
             self.set_power(0)
@@ -215,7 +215,8 @@ def install(cnc: "Cnc") -> None:
     def configure() -> None:
         """Set the output's frequency, and the beam's scale, from the settings."""
         if settings.changed in (_PWM_HZ, ALL):  # the number of the changed setting, or ALL
-            pwm.freq(min(max(truncate(settings.pwm_hz), _LOWEST_HZ), _HIGHEST_HZ))
+            hz = truncate(settings.pwm_hz)  # an integer
+            pwm.freq(min(max(hz, _LOWEST_HZ), _HIGHEST_HZ))
             if has_beam:
                 engine.scale(machine.port.pwm_max)  # the power that is 100 %
 

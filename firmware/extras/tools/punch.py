@@ -89,7 +89,7 @@ class Punch(Spindle):
     timeout_ms = 0
 
     def __init__(self, port: "Port", state: "State", enable_by_direction: bool) -> None:
-        super().__init__(port, state, False)
+        super().__init__(port, state, enable_by_direction=False)  # whatever is requested
         self._armed = sp.OFF
         self._going_down = False
         self._lost = False
@@ -104,8 +104,8 @@ class Punch(Spindle):
     # As a spindle
 
     def configure(self, settings: "Settings", table: "array[int]") -> None:
-        """Apply $30 to $33, the inversions of actuators and sensors, and raise the punch. table:
-        the planner's."""
+        """Apply $30 to $33, which invert actuators and sensors in the order of _SETTINGS, and
+        raise the punch. table: the planner's."""
         super().configure(settings, table)
         for i in range(sp.HIGHEST, st.SPINDLE_LENGTH):  # there is neither speed nor power
             self._state.spindle[i] = 0.0
@@ -214,8 +214,8 @@ class Punch(Spindle):
     # Guards
 
     def may_move(self) -> bool:
-        """Return whether motion may start, which is if the punch is up. If not, set the alarm and
-        reset."""
+        """Return whether the punch is up, so that motion may start. If not, set the alarm and
+        request a reset."""
         if self.is_up():
             return True
         self._fail(ALARM_PUNCH_UP, _NOT_UP)
