@@ -106,7 +106,7 @@ class Canon:
             least, greatest = -arcs.FARTHEST, arcs.FARTHEST  # steps
             if settings.soft_limits:
                 far = min(far, settings.max_travel[i])
-                steps = settings.max_travel[i] * self.planner.steps_per_mm[i] + 0.5
+                steps = settings.max_travel[i] * self.planner.steps_per_mm[i] + 0.5  # to round
                 least, greatest = (0, steps) if positive >> i & 1 else (-steps, 0)
             arcs.limit(self.course, i, least, greatest)
             self.limit(i, far)

@@ -125,7 +125,7 @@ class Coords:
         coordinates, one float per axis. The next call overwrites the array: do not change it."""
         zero = self._zero
         copy(self.systems[system], zero, self._axes)
-        add(self.g92, 0, zero, self._axes)
+        add(self.g92, 0, zero, self._axes)  # 0: not subtracted
         return zero
 
     def work_zero(self, system: int, axis: int) -> float:

@@ -327,7 +327,7 @@ class Interpreter:
         elif motion in (b.CW_ARC, b.CCW_ARC):
             self._canon.arc(modes.position, block.xyz, block.arc, move)
         elif motion in self.motions:
-            self.motions[motion].make(block, move)
+            self.motions[motion].make(block, move)  # sets the position, too
             return
         elif not self._probe(block, move):
             return  # position: _probe() has set it, or it must not change

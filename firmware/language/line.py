@@ -92,7 +92,7 @@ def check_line(text: object, span: int, modal: ptr32, jog: int, memory: object) 
             ptr32(arc),
         )
     )
-    only = ints[b.ONLY]  # an extra has read text that is valid with these requests only
+    only = ints[b.ONLY]  # an extra has read text that is valid with these requests only, and S
     if asked > 0 and only and (asked & ~b.SPEED != only or ints[mode.INVERSE_TIME]):
         return 0 - errors.GCODE_UNSUPPORTED_COMMAND
     return asked

@@ -157,7 +157,7 @@ def _is_short(r: ptr32, plane: ptr32, start: ptr32, target: ptr32) -> int:
             r[C] = rounding
     if r[A] & int(0x7FFFFFFF) <= r[C] and r[B] & int(0x7FFFFFFF) <= r[C]:
         return 0  # the ends are the same
-    # Twice that, as an angle: an ANGLE that is larger is no rounding, but nearly a circle.
+    # C: twice that, as an angle. A larger ANGLE is no rounding error, but nearly a full circle.
     r[C] = r[C] + _TWICE
     quotient(r, C, r, RADIUS)
     size = r[ANGLE] & int(0x7FFFFFFF)

@@ -195,7 +195,7 @@ def junction_speed_sqr(table: ptr32, dirs: int) -> int:
         return 0
     root = 0
     for _ in range(2):  # in 2**-14: |D|, then the root of 4 - |D|**2, twice the cosine
-        size = root  # |D|, after the second turn
+        size = root  # |D|, in the second round
         root = int(square_root(squares))
         squares = 0x3FFFFFFF - squares  # 4 in 2**-28, less |D|**2
     cosine = root >> 1

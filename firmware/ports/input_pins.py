@@ -324,7 +324,7 @@ class PortInputs:
         self._on_contact = None
         if on_contact:
             on_contact()
-            self._arm_probe()
+            self._arm_probe()  # disarms it: nothing watches any longer
 
     def probe(self) -> bool:
         """Return whether the probe input is pulled to ground."""

@@ -21,7 +21,8 @@ def of_board(board: "ModuleType") -> "PowerInput":
     option = board.__dict__.get
     pin = option("POWER_FAIL", None)
     assert pin is not None
-    return PowerInput(pin, pin in option("NO_PULL_UP", ()), option("ENGINE") == "pio")
+    without_pull, is_hard = pin in option("NO_PULL_UP", ()), option("ENGINE") == "pio"
+    return PowerInput(pin, without_pull, is_hard)
 
 
 class PowerInput:

@@ -57,7 +57,7 @@ class Supervisor:
         hard = sys.platform == "rp2"
         self._beat_ms = _HARD_MS if hard else _SOFT_MS
         self._last_ms = 0  # time of the last soft beat
-        self._timer = Timer(-1 if hard else _SOFT_TIMER)
+        self._timer = Timer(-1 if hard else _SOFT_TIMER)  # -1: RP2's have no numbers
 
     def start(self, feed: "Callable[[], None] | None", on_reset: "Callable[[int], None]") -> None:
         """Start watching. feed: feeds the watchdog. on_reset: called with 0 (no alarm), in the

@@ -113,7 +113,7 @@ class Report:
         self._inputs = machine.inputs
         self._spindle = machine.spindle
         self._coolant = machine.coolant
-        self._reader = machine.reader.memory()[1]
+        self._reader = machine.reader.memory()[1]  # the array that lines.free_space() reads
         self._steps = array("i", bytes(4 * machine.planner.motors))
         # Tuples, because each look-up of an attribute costs 5 us.
         self._write_args = self._text, self._ints, self._mm, self._axes

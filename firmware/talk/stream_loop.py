@@ -61,7 +61,7 @@ def run_lines(pending: ptr8, loop_args: object) -> int:
     modal = ptr32(_modal)
     counts = ptr32(_machine)
     lines_left = counts[LINES_LEFT]
-    if int(has_bytes(reader)):  # a ? must not wait for the line that is complete
+    if int(has_bytes(reader)):  # perhaps a line: a ? after it must not wait for it
         _receive(pending, receiving, ring, reader, kinds)
     while lines_left > 0:
         result = int(clean(ring, reader, text, kinds))  # length << 2 | LINE or TOO_LONG; NOTHING

@@ -137,7 +137,7 @@ class Client:
         conn, self.conn = self.conn, None
         self.forget()
         self._memory.leave(self._held)
-        self._held = 0
+        self._held = 0  # without _set_held(): the bytes stay counted in Memory
         if conn:
             conn.close()
 
@@ -243,7 +243,7 @@ class Client:
         try:
             sent = self.conn.write(memoryview(self._out)[: min(self._out_length, space)]) or 0
         except OSError:
-            self._set_held(0)
+            self._set_held(0)  # lwIP has dropped all of it
             return False
         self._out_length -= sent
         self._out[: self._out_length] = self._out[sent : sent + self._out_length]

@@ -130,7 +130,7 @@ class NetLink:
     def discard(self) -> None:
         """Drop the bytes received before a reset, also those still in the connection."""
         self._cable.discard()
-        self.control.give_back()
+        self.control.give_back()  # a reset also ends a loan of the machine
         driver = self.control.driver
         if driver:
             driver.forget()
@@ -176,7 +176,7 @@ class NetLink:
         if not control.ending and not self.client_count():
             if control.driver is None:
                 control.set(cable_client)
-                self._cable_never_used = True
+                self._cable_never_used = True  # as at the start
             if self._passes_unchecked(cable_client) and not self._urgent_count:
                 self._is_plain = True
                 cable_client.asked = False
@@ -205,7 +205,7 @@ class NetLink:
             count = self._read_driver(driver, buf, now_ms)
             if count:
                 return count
-        driver = control.driver
+        driver = control.driver  # it may be another one now
         if driver and driver.ready and not (control.ending or self._urgent_count):
             return driver.move_lines(buf)
         return 0

@@ -19,7 +19,8 @@ def beside(cable: "BoardLink", with_page: bool = False) -> "BoardLink":
     no network is stored or the radio fails, only the cable works, and status() says why."""
     stored: "dict[str, str]" = {}  # by name; SSID and PASS are in hex digits
     for line in FlashStore().load("network") or []:
-        name, _, stored[name] = line.partition("=")
+        name, _, value = line.partition("=")
+        stored[name] = value
     if not stored.get("SSID"):
         return NetLink(cable, None)
     try:

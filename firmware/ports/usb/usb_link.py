@@ -278,9 +278,8 @@ class UsbLink:
         return read_into
 
     def _make_send(self) -> "Callable[..., None]":
-        """Return send(length, data): it sends that many bytes of data, of the waiting answers if
-        there is no second argument; the others look up no attribute. It waits once for a host that
-        does not read (HOST_IS_DEAF); after that output to it is dropped until it reads."""
+        """Return send(length, data). Its further parameters hold what it would otherwise look up
+        at each call."""
 
         def send(
             length: int,
@@ -291,7 +290,8 @@ class UsbLink:
             now_ms: "Callable[[], int]" = time.ticks_ms,
             passed_ms: "Callable[[int, int], int]" = time.ticks_diff,
         ) -> None:
-            """Send the first `length` bytes of data."""
+            """Send the first `length` bytes of data or, without it, of the waiting answers. Waits
+            once for a host that does not read; then drops output until it reads (HOST_IS_DEAF)."""
             if state[HOST_IS_DEAF] and not sendable(0):
                 return
             since = now_ms()
