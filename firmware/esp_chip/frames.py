@@ -306,10 +306,10 @@ def playing_slot(state: ptr32, notes: ptr32, slots: int, size: int) -> int:
     if oldest < 0:
         oldest = 0
     for n in range(oldest, sent):
-        number = notes[(n % slots) * size + NUMBER]
-        if number == state[PLAYING]:
+        stream_number = notes[(n % slots) * size + NUMBER]
+        if stream_number == state[PLAYING]:
             return n % slots
-        if number > state[PLAYING]:  # buffer n comes later: zeros are played before it
+        if stream_number > state[PLAYING]:  # buffer n comes later: zeros are played before it
             return n % slots - ZEROS_BEFORE
     # All have been played: zeros, before the next buffer to be handed over.
     return sent % slots - ZEROS_BEFORE if sent < state[MADE] else NOT_FILLED

@@ -87,7 +87,7 @@ class I2sEngine(TimerEngine):
         self._stream = Stream(pins, rate_hz, buffers)
         self._buffer_us = self._stream.buffer_us
         self.tick_hz = rate_hz << frames.FRAME_LOG2
-        self._enable_bits = sum([2 << output for output in enables])
+        self._enable_bits = sum([2 << output for output in enables])  # output n is bit n + 1
         self._state = array("i", (0 for _ in range(s.STATE_LENGTH)))
         self._timing = array("i", (0 for _ in range(frames.TIMING_LENGTH)))
         self._timing[frames.AXES] = axes
@@ -112,7 +112,7 @@ class I2sEngine(TimerEngine):
         self._state[s.STOPPED] = 1
         self.enable(1)  # off
         self._timer = machine.Timer(0)
-        self.configure(10, 0, 0)
+        self.configure(pulse_us=10, step_invert=0, dir_invert=0)
         self._open()
         self.flash_written()  # later imports read flash, which has the same effect
         self._timer.init(mode=machine.Timer.PERIODIC, period=_TURN_MS, callback=self._refill)

@@ -35,7 +35,7 @@ class EspPort(PortPins):
     def __init__(self, board: "ModuleType", enable: "Callable[[int], None] | None" = None) -> None:
         pins = None if enable else getattr(board, "ENABLE", None)
         timers = Timer(_LOOK_TIMER), Timer(_CONTROL_TIMER)
-        super().__init__(board, timers, pins, False)
+        super().__init__(board, timers, pins, has_hard=False)  # interrupts are soft
         self._set_enable = enable
         # Levels that poll_inputs() has found last.
         self._limits_polled = self._estop_polled = 0

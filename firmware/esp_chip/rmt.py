@@ -126,7 +126,7 @@ class RmtEngine(TimerEngine):
         self._powers = array("i", (0 for _ in range(2 * trains.ROWS)))
         self._next_powers = array("i", (0 for _ in range(2 * trains.ROWS)))
         self._timer = machine.Timer(0)
-        self.configure(10, 0, 0)
+        self.configure(pulse_us=10, step_invert=0, dir_invert=0)
 
     def max_step_hz(self, pulse_us: int) -> int:
         """Return the highest rate of one axis, steps/s: as many as can be prepared per train."""
@@ -374,27 +374,27 @@ class RmtEngine(TimerEngine):
         count = self._counts[axis]
         playing = self._playing[axis]
         pulses = self._lists[axis]
-        first = playing[0]  # us from the train's begin to its first step
+        first_step_us = playing[0]  # from the train's begin
         expected = self._call_us(axis)  # time of write_pulses(), us
         del pulses[:]  # the list is used again: nothing is allocated
         pulses.extend(memoryview(playing)[:count])
-        before = time.ticks_us()
-        # The first duration is what is left until the first step when the channel will begin.
-        lead = time.ticks_diff(state[_BEGAN_US], before) + first - expected
-        pulses[0] = playing[0] = min(max(lead, 1), _LONGEST_DURATION_US)
+        before_us = time.ticks_us()
+        # What is left until the first step when the channel will begin.
+        first_pause_us = time.ticks_diff(state[_BEGAN_US], before_us) + first_step_us - expected
+        pulses[0] = playing[0] = min(max(first_pause_us, 1), _LONGEST_DURATION_US)
         self._channels[axis].play(pulses)
-        took = time.ticks_diff(time.ticks_us(), before)
-        began = (before + took - _RETURN_US) & MASK
-        lanes[lane + _STARTED_US] = began
+        took_us = time.ticks_diff(time.ticks_us(), before_us)
+        began_us = (before_us + took_us - _RETURN_US) & MASK
+        lanes[lane + _STARTED_US] = began_us
         lanes[lane + _DURATIONS] = count
-        error = took - expected
-        state[_WORST_SKEW_US] = max(state[_WORST_SKEW_US], abs(error))
-        learned = min(max(error, -_HELD_UP_US), _HELD_UP_US) // 4  # a part of it
-        estimate = max(lanes[lane + _CALL_TIME_US] + learned, _LEAST_CALL_US)
+        error_us = took_us - expected
+        state[_WORST_SKEW_US] = max(state[_WORST_SKEW_US], abs(error_us))
+        correction_us = min(max(error_us, -_HELD_UP_US), _HELD_UP_US) // 4  # a part of it
+        estimate = max(lanes[lane + _CALL_TIME_US] + correction_us, _LEAST_CALL_US)
         lanes[lane + _CALL_TIME_US] = min(estimate, _MOST_CALL_US)
-        end = (before + took + trains.lasts(playing, count) + _GUARD_US) & MASK
-        if time.ticks_diff(end, state[_FREE_US]) > 0:
-            state[_FREE_US] = end
-        planned_step = (state[_BEGAN_US] + first) & MASK
-        delay = time.ticks_diff((began + playing[0]) & MASK, planned_step)
-        return delay if delay > _HELD_UP_US else 0
+        end_us = (before_us + took_us + trains.lasts(playing, count) + _GUARD_US) & MASK
+        if time.ticks_diff(end_us, state[_FREE_US]) > 0:
+            state[_FREE_US] = end_us
+        planned_step = (state[_BEGAN_US] + first_step_us) & MASK
+        late_us = time.ticks_diff((began_us + playing[0]) & MASK, planned_step)
+        return late_us if late_us > _HELD_UP_US else 0

@@ -59,7 +59,7 @@ class TimerEngine:
                 type(self._failure).__name__,
                 self._failure,
             )
-            # A sender must not read it as an answer to a line.
+            # A sender must not find "error" or "ok" in it, the answers to a line.
             return words.replace("rror", "rr").replace("ok", "o-k")
         return "step pulses came later than scheduled" if self._is_late() else ""
 

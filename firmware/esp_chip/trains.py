@@ -60,57 +60,57 @@ def cut(rows: ptr32, timing: ptr32, size: int) -> int:
     too long, or has more steps than a channel can hold (MOST_STEPS). Up to _ANY_END_US it takes
     every row; later only rows whose steps are at most a quarter faster than at the best end.
     """
-    known = 0  # mask of axes that step in the train so far,
+    axes_in_train = 0  # mask of axes that step in the train so far,
     dirs = 0  # and their directions
-    total = 0 - timing[DONE_US]  # its length
+    total_us = 0 - timing[DONE_US]  # its length
     room = timing[MOST_STEPS]  # steps that still fit into a channel
-    best = 0  # us per step in the row that ends the train best so far
+    best_interval = 0  # us per step in the row that ends the train best so far
     timing[ROWS_TAKEN] = 0
     timing[PART_US] = 0
     timing[LENGTH_US] = 0
     for k in range(timing[ROWS_HELD]):
         at = ((timing[FIRST_ROW] + k) & _ROWS_MASK) * size  # index of the row; its time is first
-        busy = 0  # mask of axes that step in this row
-        most = 0  # steps of the one that makes the most
-        least = rows[at]  # shortest gap from step to step, us
+        axes_in_row = 0  # mask of axes that step in this row
+        most_steps = 0  # steps of the one that makes the most
+        least_gap = rows[at]  # shortest gap from step to step, us
         for i in range(timing[AXES]):
             base = at + ROW_AXES + ROW_STRIDE * i
             steps = rows[base]
             if steps and (timing[LOCKED] >> i) & 1 == 0:
-                busy |= 1 << i
-                if steps > most:
-                    most = steps
+                axes_in_row |= 1 << i
+                if steps > most_steps:
+                    most_steps = steps
                 if steps > 1:
                     gap = (rows[base + 2] - rows[base + 1]) // (steps - 1)
-                    if gap < least:
-                        least = gap
-        if known & busy & (dirs ^ rows[at + ROW_DIRS]):
+                    if gap < least_gap:
+                        least_gap = gap
+        if axes_in_train & axes_in_row & (dirs ^ rows[at + ROW_DIRS]):
             break  # an axis reverses here
         rest = rows[at]  # time of the row in this train
-        if k == 0:  # the last train has begun this row: total is minus the time done
-            rest += total
-        count = most  # steps of the row that a channel has to hold: at most those in `rest`
-        if least > 0 and rest // least + 1 < most:
-            count = rest // least + 1
-        total += rows[at]
-        if k and (total > LONGEST_US or count > room):
+        if k == 0:  # the last train has begun this row: total_us is minus the time done
+            rest += total_us
+        row_steps = most_steps  # that a channel has to hold: at most those in `rest`
+        if least_gap > 0 and rest // least_gap + 1 < most_steps:
+            row_steps = rest // least_gap + 1
+        total_us += rows[at]
+        if k and (total_us > LONGEST_US or row_steps > room):
             break
-        known |= busy
-        dirs |= rows[at + ROW_DIRS] & busy
+        axes_in_train |= axes_in_row
+        dirs |= rows[at + ROW_DIRS] & axes_in_row
         timing[DIRS] = dirs
-        if total > LONGEST_US or count > room:  # the first row: cut it
+        if total_us > LONGEST_US or row_steps > room:  # the first row: cut it
             end = LONGEST_US
-            if count > room and least * room < end:
-                end = least * room
+            if row_steps > room and least_gap * room < end:
+                end = least_gap * room
             timing[PART_US] = int(part(rows, timing, at, timing[DONE_US] + end))
             timing[LENGTH_US] = timing[PART_US] - timing[DONE_US]
             break
-        room -= count
-        interval = rows[at] // most if most else LONGEST_US
-        if total < _ANY_END_US or interval + (interval >> 2) >= best:
+        room -= row_steps
+        interval = rows[at] // most_steps if most_steps else LONGEST_US
+        if total_us < _ANY_END_US or interval + (interval >> 2) >= best_interval:
             timing[ROWS_TAKEN] = k + 1
-            timing[LENGTH_US] = total
-            best = interval
+            timing[LENGTH_US] = total_us
+            best_interval = interval
     return timing[LENGTH_US]
 
 
@@ -150,7 +150,7 @@ def durations(rows: ptr32, timing: ptr32, size: int, axis: int, out: ptr32) -> i
     pulse = timing[PULSE_US]
     count = 0
     origin = 0 - timing[DONE_US]  # start of the row, from the start of the train
-    last = 0 - pulse - _LEAST_PAUSE_US  # end of the last pulse
+    last_end = 0 - pulse - _LEAST_PAUSE_US  # end of the last pulse
     done = timing[DONE_US]  # steps before this time of the first row were in the last train
     for k in range(timing[ROWS_TAKEN] + (1 if timing[PART_US] else 0)):
         at = ((timing[FIRST_ROW] + k) & _ROWS_MASK) * size
@@ -162,11 +162,11 @@ def durations(rows: ptr32, timing: ptr32, size: int, axis: int, out: ptr32) -> i
         tick = rows[base + 1]
         gap = 0
         longer = 0  # gaps that are one tick longer,
-        front = 0  # and how many of them come first; the others come last
+        longer_first = 0  # and how many of them come first; the others come last
         if steps > 1:
             gap = (rows[base + 2] - tick) // (steps - 1)
             longer = (rows[base + 2] - tick) % (steps - 1)
-            front = int(leading(steps - 1, gap, longer))
+            longer_first = int(leading(steps - 1, gap, longer))
         for n in range(steps):
             if tick >= end:
                 break
@@ -174,14 +174,14 @@ def durations(rows: ptr32, timing: ptr32, size: int, axis: int, out: ptr32) -> i
                 if count >> 1 >= timing[MOST_STEPS]:  # two durations per step
                     return -1
                 edge = origin + tick  # start of the pulse
-                if count and edge < last + _LEAST_PAUSE_US:
-                    edge = last + _LEAST_PAUSE_US
-                out[count] = edge - last if count else edge
+                if count and edge < last_end + _LEAST_PAUSE_US:
+                    edge = last_end + _LEAST_PAUSE_US
+                out[count] = edge - last_end if count else edge
                 out[count + 1] = pulse
                 count += 2
-                last = edge + pulse
+                last_end = edge + pulse
             tick += gap
-            if n < front or n >= steps - 1 - longer + front:
+            if n < longer_first or n >= steps - 1 - longer + longer_first:
                 tick += 1
         origin += rows[at]
         done = 0

@@ -121,7 +121,7 @@ class PowerFail:
         Homing stops at once: nothing is known that could be recorded.
         """
         if self._phase == _POWER_GOOD:
-            self._port.kill()
+            self._port.kill()  # switches the tool off
             if self._state.run == st.HOMING:
                 self._engine.stop()
                 self._motor_control.note_reset(ALARM_POWER_FAIL)
@@ -268,7 +268,7 @@ class PowerFail:
         """Report the last record and give its line to the journal. Then erase the pages, so that
         the next record can be written at once."""
         pages = self._pages
-        pages.find()
+        pages.find()  # the calls below need it
         self._unread_since = _ALL_READ
         for record in pages.records():  # the newest comes first
             self._send_record(record)
@@ -296,11 +296,12 @@ class PowerFail:
     def report_time(self) -> None:
         """Report, with $I, how long a stop takes with the present settings, at most."""
         settings = self._machine.settings
-        longest = 0.0  # minutes from the maximum rate of an axis to a stop
+        longest_min = 0.0  # from the maximum rate of an axis to a stop
         for axis in range(self._machine.planner.axes):
             acceleration = settings.acceleration[axis]  # mm/min^2
             rate = settings.max_rate[axis]  # mm/min
-            longest = max(longest, rate / acceleration if acceleration else _LONGEST_STOP_MIN)
-        ms = int(min(longest, _LONGEST_STOP_MIN) * _MS_PER_MINUTE) + _QUEUED_MS + _WRITE_MS
+            stop_min = rate / acceleration if acceleration else _LONGEST_STOP_MIN
+            longest_min = max(longest_min, stop_min)
+        stop_ms = int(min(longest_min, _LONGEST_STOP_MIN) * _MS_PER_MINUTE)
         text = "Power fail: a stop takes %d ms; the supply lasts %d ms"
-        self._cnc.message(text % (ms, self._supply_ms))
+        self._cnc.message(text % (stop_ms + _QUEUED_MS + _WRITE_MS, self._supply_ms))

@@ -69,7 +69,8 @@ class Network:
         self._reader: "LineReader" = machine.reader
         self._values: "dict[str, str]" = {}
         for line in machine.saves.load(_STORED_NAME) or []:
-            name, _, self._values[name] = line.partition("=")
+            name, _, value = line.partition("=")
+            self._values[name] = value
         self._key_is_unsent = link is not None and "KEY" not in self._values
         if self._key_is_unsent:
             self._values["KEY"] = self._new_key()

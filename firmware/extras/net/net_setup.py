@@ -27,10 +27,10 @@ def change(values: "dict[str, str]", text: str) -> str:
     # Shown if the name or the sign is none of these.
     problem = "$NET/SSID= PASS= MODE=STATION MODE=AP HOST= PORT= KEY OFF"
     if name == "SSID" and sign == "=":
-        problem = _check_hex(value, 1, _LONGEST_NAME)
+        problem = _check_hex(value, fewest=1, most=_LONGEST_NAME)
     elif name == "PASS" and sign:
         value = (values.get("PASS", "") if sign == "+" else "") + value
-        problem = _check_hex(value, 0, _LONGEST_PASSWORD)
+        problem = _check_hex(value, fewest=0, most=_LONGEST_PASSWORD)
     elif name == "MODE" and sign == "=" and value in ("STATION", "AP"):
         problem = ""
         value = value.lower()
