@@ -294,10 +294,10 @@ class I2sEngine(TimerEngine):
             return
         if state[s.STOPPED]:  # also if the stop has interrupted start()
             state[s.PULLING] = state[s.MOVING] = 0
-        passed = frames.find_playing(state, time.ticks_us(), self._buffer_us)
+        passed_us = frames.find_playing(state, time.ticks_us(), self._buffer_us)
         self._report_power()
         if state[s.NEXT_NUMBER] <= state[s.PLAYING] + 1:  # nothing follows the buffer being played
-            if passed < _DOUBT_US or passed > self._buffer_us - _DOUBT_US:
+            if passed_us < _DOUBT_US or passed_us > self._buffer_us - _DOUBT_US:
                 return  # too close to a buffer's end: in the next turn
             # The stream is out of data, or may be: zeros are played before the next buffer.
             state[s.NEXT_NUMBER] = state[s.PLAYING] + 1

@@ -87,7 +87,7 @@ def _place(lanes: ptr32, axis: int, playing: ptr32, now: int) -> int:
     if lanes[lane + _DURATIONS] == 0:
         return place
     passed = (now - lanes[lane + _STARTED_US]) & MASK
-    if passed >= NEGATIVE:  # below 0
+    if passed >= NEGATIVE:  # below 0: the train begins later
         return place
     steps = int(made(playing, lanes[lane + _DURATIONS], passed))
     return place - steps if lanes[lane + _BACKWARDS] else place + steps

@@ -39,10 +39,10 @@ def stretch(target: ptr32, table: ptr32, ring: ptr32, flow: ptr32, linear: int) 
             highest_exponent = exponent
     squares = 0
     for i in range(axes):
-        mantissa = table[distance + i]
-        if (linear >> i) & 1 and mantissa:
-            shift = highest_exponent - (mantissa >> _MANTISSA_BITS) + 1
-            mantissa = (mantissa & _MANTISSA) >> shift if shift < _MANTISSA_BITS else 0
+        axis_distance = table[distance + i]
+        if (linear >> i) & 1 and axis_distance:
+            shift = highest_exponent - (axis_distance >> _MANTISSA_BITS) + 1
+            mantissa = (axis_distance & _MANTISSA) >> shift if shift < _MANTISSA_BITS else 0
             squares += mantissa * mantissa
     if squares == 0:
         return 0
@@ -52,6 +52,5 @@ def stretch(target: ptr32, table: ptr32, ring: ptr32, flow: ptr32, linear: int) 
     exponent = (
         (length >> _MANTISSA_BITS) - (linear_length >> _MANTISSA_BITS) + BIAS - _MANTISSA_BITS
     )
-    return int(
-        pack(((length & _MANTISSA) << _MANTISSA_BITS) // (linear_length & _MANTISSA), exponent)
-    )
+    quotient = ((length & _MANTISSA) << _MANTISSA_BITS) // (linear_length & _MANTISSA)
+    return int(pack(quotient, exponent))

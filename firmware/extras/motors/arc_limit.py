@@ -27,7 +27,9 @@ def install(cnc: "Cnc") -> None:
     settings: "Any" = cnc.machine.settings
     previous = canon.arc
 
-    def arc(start: "array[float]", target: "array[float]", arc: "Arc", move: "Move") -> None:
+    def limited_arc(
+        start: "array[float]", target: "array[float]", arc: "Arc", move: "Move"
+    ) -> None:
         """Request an arc (start, target: mm), then limit its feed (mm/min) so that v * v / radius
         is at most the acceleration of the plane's weaker axis."""
         previous(start, target, arc, move)  # planned by finish(); move.feed is in mm/min now
@@ -35,4 +37,4 @@ def install(cnc: "Cnc") -> None:
         accel = min(accelerations[plane[ONE_AXIS]], accelerations[plane[OTHER_AXIS]])
         move.feed = min(move.feed, sqrt(accel * arc.numbers[RADIUS]))
 
-    canon.arc = arc
+    canon.arc = limited_arc

@@ -133,9 +133,9 @@ def smooth(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32) -> int:
             if int(begin_segment(flow, line, ring, table[MOTOR_COUNT])) == 0:
                 return 0
             has_begun = 1
-        part = int(place_slot(flow, line))
-        span += part
-        in_block = int(add_piece(flow, part))
+        piece_time = int(place_slot(flow, line))
+        span += piece_time
+        in_block = int(add_piece(flow, piece_time))
     if has_begun == 0:
         return 0
     # slices() makes a single row of a time above a slot, because in segment_kernel.py that is a
