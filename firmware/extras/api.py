@@ -105,7 +105,7 @@ class Cnc:
             if number in without:
                 setattr(settings, attribute, default)
         remaining = [row for row in settings.rows if row[0] not in without]  # row[0]: its number
-        settings.rows = tuple(sorted(remaining + list(rows)))
+        settings.rows = tuple(sorted(remaining + list(rows)))  # by number
         settings.file = file or settings.file
         descriptions = getattr(self._machine.report, "words", None)  # only in 0.9's reports
         if descriptions is not None and words:

@@ -50,15 +50,16 @@ def is_grbls(letter: str, tenths: int) -> bool:
     if letter == "G" and number >= block.M_WORDS:
         return False
     # A mask of the decimals that Grbl has for this number, or -1 if it does not have the number.
-    # Bit d - 1 stands for decimal d. NEEDED: the number without a decimal is no word. OTHERS: any
-    # other decimal is only "unsupported" in Grbl, so an extra may use it.
+    # TENTHS: bit d - 1 stands for decimal d. NEEDED: the number without a decimal is no word.
+    # OTHERS: Grbl only calls other decimals "unsupported", so an extra may use them.
     decimals = block.decimals_of(number + block.M_WORDS if letter == "M" else number)
     if decimals < 0:
         return False
     if decimal == 0:
-        return decimals & block.NEEDED == 0
-    has_decimal = decimals & block.TENTHS & 1 << decimal - 1 > 0
-    return has_decimal or decimals & block.OTHERS == 0
+        return not decimals & block.NEEDED
+    has_decimal = bool(decimals & block.TENTHS & (1 << (decimal - 1)))
+    others_are_free = decimals & block.OTHERS
+    return has_decimal or not others_are_free
 
 
 class CustomCodes:
@@ -79,9 +80,11 @@ class CustomCodes:
         _, tenths, l_tenths = key
         if letter == "G" and tenths // 10 in self._machine.interpreter.motions:
             return True  # a canned cycle of an extra
+        if not is_grbls(letter, tenths):
+            return False
         # G10 is Grbl's, but not with every L.
         is_free_g10 = tenths == _G10 and l_tenths and l_tenths // 10 not in _L_OF_GRBL
-        return is_grbls(letter, tenths) and not is_free_g10
+        return not is_free_g10
 
     def add(
         self,
@@ -132,8 +135,8 @@ class CustomCodes:
         l_tenths = _tenths(words.values[index_of_l]) if index_of_l >= 0 else 0
         for i in range(count):
             letter, tenths = "%c" % words.letters[i], _tenths(words.values[i])
-            word = self._words.get((letter, tenths, l_tenths))
-            word = word or self._words.get((letter, tenths, 0))  # the one without an L
+            with_l = self._words.get((letter, tenths, l_tenths))
+            word = with_l or self._words.get((letter, tenths, 0))  # 0: the one for any L
             if word:
                 return word
         return None

@@ -32,10 +32,10 @@ _LETTERS = {
 
 class Cycle:
     """A cycle in the XY plane, with absolute coordinates (G90). plan, letters: see
-    Cnc.add_cycle(). kept: the numbers that hold for the next line, that of Z first, then those of
-    letters, None for one that has not been given; [] before the first line. check() computes
-    _numbers, the same for its line, and moves, its moves. _uses: mask of the words that the cycle
-    has, bits as in the block's words (b.WORDS)."""
+    Cnc.add_cycle(). kept: the last line's numbers, which hold for the next one: that of Z first,
+    then those of letters, None for one that has not been given; [] before the first line.
+    _numbers: in the same order, those of the line checked last; moves: its moves. _allowed_words:
+    mask of the words that a line may have, bits as in the block's words (b.WORDS)."""
 
     def __init__(
         self, machine: "Controller", plan: "Callable[..., Iterable[Step]]", letters: str
@@ -43,10 +43,10 @@ class Cycle:
         self._modes, self._coords, self._canon = machine.modes, machine.coords, machine.canon
         self._plan = plan
         self._letters = letters
-        self._uses = 0
+        self._allowed_words = 0
         for letter in letters.upper():
             bit, _ = _LETTERS[letter]
-            self._uses |= bit
+            self._allowed_words |= bit
         self.kept: "list[float | None]" = []
         self._numbers: "list[float | None]" = []
         self.moves: "Iterable[Step]" = ()
@@ -57,19 +57,19 @@ class Cycle:
         ints, modes = block.ints, self._modes
         if ints[PLANE] or ints[RELATIVE] or ints[INVERSE_TIME]:  # not G17 with G90 and G94
             raise GrblError(errors.GCODE_UNSUPPORTED_COMMAND)
-        if ints[b.WORDS] & b.MOTION_WORDS & ~self._uses:
+        if ints[b.WORDS] & b.MOTION_WORDS & ~self._allowed_words:
             raise GrblError(errors.GCODE_UNUSED_WORDS)
-        is_repeated = modes.modal[MOTION] == ints[MOTION]
-        kept = self.kept if is_repeated and self.kept else [None] * (1 + len(self._letters))
-        has_z = ints[b.WORDS] >> Z & 1  # the lowest bits are those of the axes
-        depth = block.xyz[Z] if has_z else kept[0]
+        kept: "list[float | None]" = [None] * (1 + len(self._letters))
+        if self.kept and modes.modal[MOTION] == ints[MOTION]:  # the cycle goes on
+            kept = self.kept
+        has_z = (ints[b.WORDS] >> Z) & 1  # the lowest bits are those of the axes
+        depth = block.xyz[Z] if has_z else kept[0]  # mm, machine coordinates
         numbers = [depth]
         for i, letter in enumerate(self._letters):
             number = self._number_of(block, letter.upper())
-            previous = kept[1 + i]  # kept[0] is Z
-            numbers.append(previous if number is None else number)
+            numbers.append(kept[1 + i] if number is None else number)  # kept[0] is Z
         for letter, number in zip("Z" + self._letters, numbers):
-            if number is None and letter < "a":  # capital letters are required
+            if number is None and letter.isupper():  # lower-case ones are optional
                 raise GrblError(errors.GCODE_VALUE_WORD_MISSING)
         target = list(block.xyz)
         target[Z] = depth  # type: ignore[assignment]  # not None, which was refused above

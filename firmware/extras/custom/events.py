@@ -58,14 +58,15 @@ def _text(result: "Any") -> str:
 
 
 class Events:
-    """The events, and the handlers of each: by its name, each as its name in messages and itself.
+    """The events, and the handlers of each. _handlers: a list of them by the event's name.
 
-    An event that waits is its name and the handlers' arguments: in _due for handlers that may
-    move, in _due_during_motion for the others. _timers: milliseconds, time of the last call, name,
-    function. _inputs: by name, whether it was closed at the last look. _changed[0]: 1 if an
-    interrupt has seen an input change since. _last_run_state: at the last poll. _failed: handlers
-    that failed after a welcome; _failure_causes_welcome: such a failure causes the next welcome.
-    _hold: executes M0's hold, None if none waits. _report_field: the status report's field.
+    Queues of events, each its name and the handlers' arguments: _due for handlers that may move,
+    _due_during_motion for the others. _timers: of each its period and the time of the last call
+    in ms, its name in messages, and the function. _inputs: by name, whether it was closed at the
+    last look. _changed[0]: 1 if an interrupt has seen an input change since. _last_run_state: at
+    the last poll. _failed: handlers that failed after a welcome; _failure_causes_welcome: such a
+    failure causes the next welcome. _hold: executes M0's hold, None if none waits. _report_field:
+    the status report's field.
     """
 
     def __init__(self, cnc: "Cnc", runner: "Runner") -> None:
@@ -183,13 +184,14 @@ class Events:
         try:
             while self._due_during_motion:
                 name, values = self._due_during_motion.pop(0)
+                is_report = name == handlers.REPORT  # of other handlers no result is used
                 fields = []
                 for what, function in self._handlers[name]:
                     result = self._runner.run(what, function, not MAY_MOVE, values)
-                    text = _text(result) if name == handlers.REPORT else ""
+                    text = _text(result) if is_report else ""
                     if text:
                         fields.append(text)
-                if name == handlers.REPORT:
+                if is_report:
                     self._report_field = "|".join(fields)
             if self._timers:
                 self._run_timers()
@@ -239,32 +241,28 @@ class Events:
 
         during_motion: some handlers run during motion.
         """
-        has_handlers = self._handlers  # by event: `in` asks whether it has any
+        handled = self._handlers  # its keys are the events that have a handler
         # Hooks may emit events without a handler, too: _queue() drops these.
         if during_motion:
             self._hooks.poll += (self.poll,)
         self._wrap_lines()
         self._cnc.after_reset(self._after_reset)
-        if "after_homing" in has_handlers or "after_unlock" in has_handlers:
+        if "after_homing" in handled or "after_unlock" in handled:
             self._cnc.after_command(b"H", self._after_homing)
             self._cnc.after_command(b"X", self._after_unlock)
-        if "tool_change" in has_handlers:
+        if "tool_change" in handled:
             self._cnc.add_m(_M6, self._change_tool, "t")
-        if "probe_done" in has_handlers:
+        if "probe_done" in handled:
             self._wrap_probe()
-        if (
-            "spindle" in has_handlers
-            or "coolant" in has_handlers
-            or "program_done" in has_handlers
-        ):
+        if "spindle" in handled or "coolant" in handled or "program_done" in handled:
             self._hooks.spun += (self._spun,)
             self._hooks.cooled += (self._cooled,)
             self._cnc.after_program(lambda: self._emit("program_done"))
-        if "program_paused" in has_handlers:
+        if "program_paused" in handled:
             self._hooks.paused += (self._defer_pause,)
-        if "alarm" in has_handlers:
+        if "alarm" in handled:
             self._cnc.after_alarm(lambda code: self._emit("alarm", code))
-        if handlers.REPORT in has_handlers:
+        if handlers.REPORT in handled:
             self._cnc.add_field(self._report)
         if self._inputs:
             self._machine.port.watch_pins(self._on_change)
@@ -307,7 +305,7 @@ class Events:
         self._synced_words.waiting.clear()
         alarms = [event for event in self._due_during_motion if event[0] == "alarm"]
         self._due_during_motion = alarms
-        if not self._failure_causes_welcome:
+        if not self._failure_causes_welcome:  # the sender's reset: try all handlers again
             self._failed.clear()
         self._failure_causes_welcome = False
         # _emit() drops events in check mode. This one is due even then, because the reset that
@@ -331,7 +329,7 @@ class Events:
         """Execute M6, with T on its line or before it. tool: the number of the T on its line, or
         None. If a handler refuses the line, the tool is the one before."""
         api = self._runner.machine_api
-        before = api.tool
+        tool_before = api.tool
         try:
             if tool is not None:
                 if not 0 <= tool <= HIGHEST_TOOL:
@@ -340,7 +338,7 @@ class Events:
             self._emit("tool_change", api.tool)
             self.run_due()
         except GrblError:
-            api.tool = before
+            api.tool = tool_before
             raise
 
     def _wrap_probe(self) -> None:
@@ -351,9 +349,8 @@ class Events:
         def probe(target: "array[float]", move: "Move", away: bool, alarms: bool) -> bool:
             """Probe as before, with the same arguments and result; then emit probe_done."""
             result = previous(target, move, away, alarms)
-            self._emit(
-                "probe_done", Position(hooks.probed_at()) if state.probe_succeeded else None
-            )
+            contact = Position(hooks.probed_at()) if state.probe_succeeded else None
+            self._emit("probe_done", contact)
             return result
 
         hooks.probe = probe

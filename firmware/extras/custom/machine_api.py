@@ -173,8 +173,8 @@ class MachineApi(PinApi):
             axis = LETTERS.find(letter)
             if axis < 0 and letter != "F":
                 raise ValueError("m.probe with G53 takes only axes and F, not %s" % letter)
-            work = number if axis < 0 else number - self._zero(axis)  # F stays as it is
-            converted += "%s%.4f" % (letter, work)
+            zero = 0 if letter == "F" else self._zero(axis)
+            converted += "%s%.4f" % (letter, number - zero)
         return converted
 
     def _zero(self, axis: int) -> float:
@@ -209,8 +209,8 @@ class MachineApi(PinApi):
         """Set the tool length offset in mm, as G43.1 does. It holds until a reset or G49."""
         with self.saved():
             self.g("G43.1%s%.4f" % (LETTERS[self._machine.coords.length_axis], mm))
-            for saved in self._open_blocks:  # none restores the old length
-                saved.keep_length()
+            for block in self._open_blocks:  # the new length stays when they end
+                block.keep_length()
 
     def home(self, axes: str = "") -> None:
         """Home as `$H` does. `axes`: one letter, if the board can home one axis.
@@ -289,7 +289,7 @@ class MachineApi(PinApi):
     def halt(self) -> None:
         """Stop the machine from anywhere, with all off and ALARM:34. Raises Abort."""
         machine, state = self._machine, self._state
-        # A hold that still slows down ends first, so that the position stays certain.
+        # First let a hold that still slows down end, so that the position stays certain.
         while state.run & (st.HOLD | st.DOOR | st.SLEEP) and state.holding:
             machine.motor_control.pump()
             machine.realtime.handle_events()

@@ -52,10 +52,10 @@ class PinApi:
 
     def begin_handler(self, may_move: bool) -> bool:
         """Begin a handler. Return whether the handler that it interrupts may move."""
-        outer = self.may_move
+        outer_may_move = self.may_move
         self.may_move = may_move
         self.restart_clock()
-        return outer
+        return outer_may_move
 
     def restart_clock(self) -> None:
         """Restart the count of the handler's own time."""
@@ -115,17 +115,18 @@ class PinApi:
         self.pwm(name, us * _SERVO_HZ / 1000000, _SERVO_HZ)
 
     def _set_level(self, index: int, on: bool) -> None:
-        """Note an output's level in _levels, when the handler's motion has ended. index: its bit.
-        The caller switches the pin.
+        """Wait for the end of the handler's motion, then note an output's level in _levels. index:
+        its bit. The caller switches the pin.
 
-        After a reset or an alarm it raises Stopped for `on`; off is noted at once.
+        After a reset or an alarm it raises Stopped for `on`, and notes off without a wait.
         """
         if on:
             self.check_stopped()
         if self.may_move and not (self._state.pending[st.RESET] or self._state.alarm):
             self._machine.canon.synchronise()
             self.restart_clock()
-        self._levels = self._levels | 1 << index if on else self._levels & ~(1 << index)
+        bit = 1 << index
+        self._levels = self._levels | bit if on else self._levels & ~bit
 
     def is_on(self, name: str) -> bool:
         """Return whether an output is switched on. ValueError for an unknown name."""

@@ -107,7 +107,7 @@ class ModalState:
             self._open_blocks.remove(self)
         if machine.state.pending[st.RESET]:
             return  # the reset has set the modes
-        did_cut = CUTTING >> modes.modal[MOTION] & 1  # CUTTING, bit i: motion mode i cuts
+        cut_in_block = CUTTING >> modes.modal[MOTION] & 1  # CUTTING, bit i: motion mode i cuts
         for i in range(MODAL_LENGTH):
             if i not in _NOT_RESTORED:
                 modes.modal[i] = self.modal[i]
@@ -118,6 +118,7 @@ class ModalState:
         coords.tool_length = self._length
         coords.set_g92(self._g92)
         machine.state.wco_countdown = 0  # the next status report has the offsets
-        cuts = CUTTING >> modes.modal[MOTION] & 1
-        if machine.spindle.laser and modes.modal[SPINDLE] == CW and cuts != did_cut:
-            machine.canon.spin(CW, modes.rates[RPM] if cuts else 0.0)  # as a line with G0 or G1
+        cuts_now = CUTTING >> modes.modal[MOTION] & 1
+        if machine.spindle.laser and modes.modal[SPINDLE] == CW and cuts_now != cut_in_block:
+            # In M3 a laser is on only in cutting modes: switch it as a line with G0 or G1 does.
+            machine.canon.spin(CW, modes.rates[RPM] if cuts_now else 0.0)

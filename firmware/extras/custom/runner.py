@@ -39,10 +39,10 @@ _ENOUGH_BLOCKS = const(8)  # planned ones, which last longer than a collection
 
 class Runner:
     """Calls handlers. machine_api: their argument m; modules: the names of the user's modules.
-    is_running: a handler is running. has_run: run_housekeeping() may have work. _uncollected_runs:
-    handlers run since the last garbage collection. _reported_slow: names of handlers reported as
-    slow. _disabled: handlers that failed during motion: they would fail again at every turn of the
-    loop."""
+    is_running: a handler is running. has_run: one has run, so that run_housekeeping() may have
+    work. _uncollected_runs: handlers run since the last garbage collection. _reported_slow: names
+    of handlers reported as slow. _disabled: handlers that failed during motion: they would fail
+    again at every turn of the loop."""
 
     def __init__(self, cnc: "Cnc", api: "MachineApi", modules: "tuple[str, ...]") -> None:
         self._cnc = cnc
@@ -122,9 +122,10 @@ class Runner:
         place = ""
         for line in [line.strip() for line in lines]:
             if line.startswith('File "'):
-                parts = line.split('"')  # parts[1]: the file's path
-                if self._is_of_user(parts[1]):
-                    name = parts[1].replace("\\", "/").split("/")[-1]
+                parts = line.split('"')
+                path = parts[1]
+                if self._is_of_user(path):
+                    name = path.replace("\\", "/").split("/")[-1]
                     place = name + parts[2] + ": "  # parts[2]: line and function
         return place + lines[-1]
 

@@ -31,9 +31,9 @@ _FIRST_OF_CALL = const(3)  # from here on: its name in messages, function and pa
 
 
 class SyncedWords:
-    """The words that wait for motion: waiting has a list of fields for each. _position: the
-    present one, mm, scratch. _counted_tail: the planner's TAIL, the next block that the engine
-    reads, at the last count."""
+    """The words that wait for motion. waiting: for each a list of the fields above. _position:
+    scratch for the present position, mm. _counted_tail: the planner's TAIL (index of the next
+    block that the engine reads) when _subtract_read_blocks() ran last."""
 
     def __init__(self, machine: "Controller", runner: "Runner") -> None:
         self._machine = machine
@@ -51,34 +51,35 @@ class SyncedWords:
         machine.canon.finish()  # plan the move that is only requested yet
         machine.canon.auto_start()
         self._subtract_read_blocks()
-        blocks = (flow[HEAD] - flow[TAIL]) % flow[ROWS]
-        end = tuple(machine.modes.position)
-        self.waiting.append([blocks, end, _FAR_MM, what, function, given])
+        blocks_before = (flow[HEAD] - flow[TAIL]) % flow[ROWS]
+        end_mm = tuple(machine.modes.position)
+        self.waiting.append([blocks_before, end_mm, _FAR_MM, what, function, given])
 
     def run_reached(self) -> None:
         """Run the words whose position has been reached, in their order. Called at each turn of
         the main loop while words wait."""
         self._subtract_read_blocks()
-        self._machine.state.pending[st.ANY] = 1  # check again after the next line
+        self._machine.state.pending[st.ANY] = (
+            1  # so that the loop calls this again after the next line
+        )
         waiting = self.waiting
         while waiting and waiting[0][_BLOCKS_BEFORE] == 0 and self._is_reached(waiting[0]):
             what, function, given = waiting.pop(0)[_FIRST_OF_CALL:]
-            self._runner.run(what, function, not MAY_MOVE, (), given)
+            self._runner.run(what, function, not MAY_MOVE, given=given)
 
     def _subtract_read_blocks(self) -> None:
         """Subtract from each word's blocks those that the engine has read since the last call."""
         flow = self._machine.planner.flow
-        read = (flow[TAIL] - self._counted_tail) % flow[ROWS]  # of a ring of ROWS blocks
+        read_blocks = (flow[TAIL] - self._counted_tail) % flow[ROWS]  # of a ring of ROWS blocks
         self._counted_tail = flow[TAIL]
         for word in self.waiting:
-            word[_BLOCKS_BEFORE] = max(0, word[_BLOCKS_BEFORE] - read)
+            word[_BLOCKS_BEFORE] = max(0, word[_BLOCKS_BEFORE] - read_blocks)
 
     def _is_reached(self, word: "list[Any]") -> bool:
         """Return whether a word's position has been reached: the machine stands, or is farther
         from it than at the last look. All blocks before it must have been read."""
         machine, mm = self._machine, self._position
         machine.position(mm)
-        offsets = [abs(end - now) for end, now in zip(word[_END_MM], mm)]
-        distance = max(offsets)  # of the farthest axis
+        distance = max([abs(end - now) for end, now in zip(word[_END_MM], mm)])  # farthest axis
         last_distance, word[_LAST_DISTANCE_MM] = word[_LAST_DISTANCE_MM], distance
         return distance > last_distance or machine.engine.idle()

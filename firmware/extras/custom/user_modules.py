@@ -112,26 +112,28 @@ class Custom:
         word_kinds = (handlers.M, handlers.G)
         words = [note for note in notes if note[0] in word_kinds]  # note[0]: its kind
         events = [note for note in notes if note[0] not in word_kinds]
-        # A handler of tool changes defines M6, too: see Events.attach().
-        m6 = [("M", 6, "t")] if "tool_change" in [kind for kind, _, _, _, _ in events] else []
+        new_words = [(kind, number, letters) for kind, number, letters, _, _ in words]
+        if "tool_change" in [kind for kind, _, _, _, _ in events]:
+            new_words.insert(0, ("M", 6, "t"))  # Events.attach() adds M6
         seen: "list[Key]" = []
-        for kind, key, letters in m6 + [note[:3] for note in words]:  # kind, key and letters
-            if key_of(kind, key) in seen or self._cnc.is_taken(kind, key):
-                raise ValueError("%s%s is already in use" % (kind, key))
+        for kind, number, letters in new_words:
+            word_key = key_of(kind, number)
+            if word_key in seen or self._cnc.is_taken(kind, number):
+                raise ValueError("%s%s is already in use" % (kind, number))
             if not isinstance(letters, str):
-                raise TypeError("%s%s: its letters must be a text" % (kind, key))
-            seen.append(key_of(kind, key))
+                raise TypeError("%s%s: its letters must be a text" % (kind, number))
+            seen.append(word_key)
         for kind, key, _, _, _ in events:
             if kind == handlers.INPUT:
                 self._runner.machine_api.pin(key)  # raises ValueError if there is none
         for kind, key, _, _, function in events:
             self._events.subscribe(kind, key, title(kind, key), function)
-        during_motion = any(sync is False for _, _, _, sync, _ in notes)
-        self._events.attach(during_motion)
-        for kind, key, letters, sync, function in words:
-            call = self._call_for_word(title(kind, key), letters, sync, function)
+        some_run_during_motion = any(sync is False for _, _, _, sync, _ in notes)
+        self._events.attach(some_run_during_motion)
+        for kind, number, letters, sync, function in words:
+            call = self._call_for_word(title(kind, number), letters, sync, function)
             add = self._cnc.add_m if kind == handlers.M else self._cnc.add_g
-            add(key, call, letters, bool(sync))  # only with True its line waits for motion to end
+            add(number, call, letters, sync=sync is True)  # False, None: not at the end of motion
         names = [title(kind, key) for kind, key, _, _, _ in notes]
         self._cnc.after_reset(self._runner.machine_api.clear_requests)
         self._cnc.before_lines(self._events.between_lines)
@@ -171,6 +173,6 @@ class Custom:
             if sync is False:
                 self._events.defer(what, function, given)
             else:
-                self._runner.run(what, function, MAY_MOVE, (), given)
+                self._runner.run(what, function, MAY_MOVE, given=given)
 
         return call

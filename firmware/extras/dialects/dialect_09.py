@@ -256,7 +256,7 @@ _SETTINGS: "Rows" = (
     # received bytes not yet read; 16: limit switches.
     (10, "report_mask", INT, _SHOW_MPOS | _SHOW_WPOS, "mask"),
 )
-_WITHOUT = (10, 30, 31, 32)
+_WITHOUT = (10, 30, 31, 32)  # settings of 1.1 that 0.9 lacks or, as $10, has otherwise
 # As LineReader's `reads`: no upper real-time bytes; @ is one (the safety door); the rest of a line
 # that is too long is a line of its own.
 _READS = (0x100, 0x40, 0)
@@ -271,5 +271,5 @@ def prepare(options: "Options", board: "ModuleType") -> None:
 
 def install(cnc: "Cnc") -> None:
     """Replace the settings and remove the commands that 0.9 does not have."""
-    cnc.add_settings(_SETTINGS, _WITHOUT)
+    cnc.add_settings(_SETTINGS, without=_WITHOUT)
     cnc.remove_commands(b"JS")

@@ -96,8 +96,8 @@ class ReportHal(Report):
         speed (V), and its range in rpm."""
         settings = self._settings
         laser = "L" if settings.laser_mode else ""
-        speeds = self.speed(settings.min_rpm), self.speed(settings.max_rpm)
-        self._line("[SPINDLE:0|0|0|*D%sV|PWM|%s,%s]" % ((laser,) + speeds))
+        lowest, highest = self.speed(settings.min_rpm), self.speed(settings.max_rpm)
+        self._line("[SPINDLE:0|0|0|*D%sV|PWM|%s,%s]" % (laser, lowest, highest))
 
     def status(self) -> "memoryview":
         """Return the answer to ?. After the byte for a complete report it has all fields."""
@@ -105,8 +105,8 @@ class ReportHal(Report):
             return super().status()
         self.is_complete = False
         state = self._state
-        # Grbl's report has either Ov: or WCO:, the one whose countdown is 0. So it is made with
-        # Ov:, and WCO: is added here.
+        # Grbl's report has Ov: or WCO:, never both: the one whose countdown is 0. So here it is
+        # made with Ov:, and WCO: is added below.
         state.wco_countdown, state.override_countdown = 1, 0
         text = bytes(super().status())[: -len(">\r\n")]
         state.override_countdown = 0  # next time again: gSender reads Ov: only in normal reports
@@ -164,7 +164,8 @@ class Bytes:
             self._motor_control.reset()
 
     def _is_moving(self) -> bool:
-        """Return whether motion has not ended, so that a reset would cause an alarm."""
+        """Return whether motion, with the idle delay after it, has not ended: a reset would cause
+        an alarm."""
         return self._motor_control.moving or self._motor_control.in_idle_delay
 
 
@@ -184,7 +185,8 @@ def _send_rows(cnc: "Cnc", command: bytes) -> None:
     except OSError:
         cnc.message(FILE + " is not on the board: ugrbl deploy puts it there")
         return
-    prefix, is_known = command + b" ", False
+    prefix = command + b" "
+    is_known = False  # FILE has a row of that command
     with rows:
         for row in rows:  # command, number, text
             if row.startswith(prefix):

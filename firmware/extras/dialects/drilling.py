@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from talk.controller import Controller
 
-    # Letter, number as it is written, and tenths of a G or M word (-1 for other letters).
+    # Letter, number as it is written, and of a G or M word that number in tenths (else -1).
     Word = tuple[str, str, int]
 
 _PLANES = ((0, 1), (2, 0), (1, 2))  # by modal plane: the axes of G17, G18, G19
@@ -46,10 +46,9 @@ _CYCLE_LETTERS = "XYZRQPL"
 _GAP_MM = 0.254
 _GAP_INCH = 0.01
 _MM_PER_INCH = 25.4
+_ABSOLUTE = const(0)  # instead of the number of a hole: G90
 _LEAST_Q = 0.001  # mm or inches
-_THINNEST_PECK = (
-    0.0001  # mm or inches: a last peck thinner than this is drilled with the one above it
-)
+_THINNEST_PECK = 0.0001  # mm or inches: a thinner last one is drilled with the one above it
 
 
 def has(words: "list[Word]", letter: str, *tenths: int) -> bool:
@@ -69,10 +68,11 @@ def joined(words: "list[Word]") -> str:
 class Holes:
     """What a line of a cycle asks for, in the program's units. Drilling.plan() sets it.
 
-    Numbers stay text, as the program has them. cycle: in tenths. kept: numbers by letter. letter:
-    of the drilling axis; position: where that is now. ends_at_r: G99. r, bottom, end: the heights
-    of R, of the hole's bottom, and where a hole ends. hole_words: the axis words of each hole in
-    the plane, "" for none. gap: how far above the last depth a rapid back into the hole stops.
+    Numbers stay text, as the program has them. cycle: its number in tenths. kept: numbers by
+    letter. letter: of the drilling axis; position: where that is now. ends_at_r: G99. r, bottom,
+    end: the heights of R, of the hole's bottom, and where a hole ends. hole_words: of each hole
+    its axis words in the plane, "" to drill where the tool is. gap: how far above the last depth
+    a rapid back into the hole stops.
     """
 
     cycle: int
@@ -98,9 +98,9 @@ class Holes:
         if height < float(self.r):
             yield go_to_r
             height = float(self.r)
-        for place in self.hole_words:
-            if place:
-                yield "G0" + place
+        for axis_words in self.hole_words:
+            if axis_words:
+                yield "G0" + axis_words
             if height != float(self.r):
                 yield go_to_r
             yield from self._hole()
@@ -125,13 +125,14 @@ class Holes:
         """
         top, bottom, peck = float(self.r), float(self.bottom), float(self.kept["Q"])
         count = 1
-        while top - count * peck - bottom > _THINNEST_PECK:
-            depth = top - count * peck  # its height
-            yield feed + _text(depth)
+        height = top - peck  # of the first peck's end
+        while height - bottom > _THINNEST_PECK:
+            yield feed + _text(height)
             if self.cycle == _G83:
                 yield rapid + self.r  # and back into the hole:
-            yield rapid + _text(min(top, depth + self.gap))
+            yield rapid + _text(min(top, height + self.gap))
             count += 1
+            height = top - count * peck
 
 
 class Drilling:
@@ -185,9 +186,9 @@ class Drilling:
         its result. GrblError if a line is refused, Abort after a reset."""
         interpreter, modes = self._machine.interpreter, self._machine.modes
         modal = modes.modal
-        before = list(modes.position)
+        position_before = list(modes.position)
         self._run(holes.other_words)
-        if list(modes.position) != before:  # a handler of another extra has moved the machine
+        if list(modes.position) != position_before:  # a handler of another extra has moved
             self.plan(holes.cycle_words, holes.ends_at_r)  # again, into the same `holes`
         if not self.cycle:
             self._motion_before = modal[MOTION]
@@ -195,13 +196,14 @@ class Drilling:
             interpreter.is_open = False  # in a cycle a line of axis words only is no move
         self.cycle, self._kept, self.ends_at_r = holes.cycle, holes.kept, holes.ends_at_r
         self._start_mm, self._kept_for = holes.start_mm, holes.kept_for
-        relative, modal[RELATIVE] = modal[RELATIVE], 0  # the lines of holes are absolute
+        relative_before = modal[RELATIVE]
+        modal[RELATIVE] = 0  # the lines of holes are absolute
         try:
             for line in holes.lines():
                 self._machine.protocol.service()
                 self._run(line)
         finally:
-            modal[RELATIVE] = relative
+            modal[RELATIVE] = relative_before
 
     # Checks
 
@@ -228,9 +230,9 @@ class Drilling:
         _check_numbers(holes, given)
         self._set_heights(holes, drill_axis)
         in_plane = []
-        for i in plane_axes:
-            if _AXIS_LETTERS[i] in given:
-                in_plane.append((given[_AXIS_LETTERS[i]], self._position(i), i))
+        for axis in plane_axes:
+            if _AXIS_LETTERS[axis] in given:
+                in_plane.append((given[_AXIS_LETTERS[axis]], self._position(axis), axis))
         times = int(float(given.get("L", "1")))
         holes.hole_words = self._words_of_holes(in_plane, times)
         return holes
@@ -283,7 +285,7 @@ class Drilling:
         has_begun = self.cycle and axis == self._kept_for[0]
         holes.start_mm = self._start_mm if has_begun else self._machine.modes.position[axis]
         holes.position = self._position(axis)
-        start = self._in_program_units(axis, holes.start_mm)
+        start = self._in_program_units(axis, holes.start_mm)  # the initial height
         holes.r, holes.bottom = holes.kept["R"], holes.kept[holes.letter]
         if ints[RELATIVE]:
             holes.r = _text(start + float(holes.r))
@@ -295,13 +297,14 @@ class Drilling:
     def _words_of_holes(
         self, in_plane: "list[tuple[str, float, int]]", times: int
     ) -> "Iterator[str]":
-        """Yield the axis words of each of so many holes.
+        """Return the axis words of each of so many holes, made when they are drilled.
 
         in_plane: of each axis with a word, its number as written, its position, and its index. In
         G91 each hole is that far from the one before; in G90 all are at the same place.
         """
-        relative = self._machine.interpreter.block.ints[RELATIVE]
-        return (_axis_words(in_plane, count if relative else 0) for count in range(1, times + 1))
+        if self._machine.interpreter.block.ints[RELATIVE]:
+            return (_axis_words(in_plane, hole) for hole in range(1, times + 1))
+        return (_axis_words(in_plane, _ABSOLUTE) for _ in range(times))
 
     def _position(self, axis: int) -> float:
         """Return an axis's position in the units and work coordinates of the checked line."""
@@ -315,16 +318,16 @@ class Drilling:
         return mm / _MM_PER_INCH if ints[INCHES] else mm
 
 
-def _axis_words(in_plane: "list[tuple[str, float, int]]", count: int) -> str:
+def _axis_words(in_plane: "list[tuple[str, float, int]]", hole: int) -> str:
     """Return the axis words of a hole. in_plane: see Drilling._words_of_holes().
 
-    count: the hole is so many times the numbers away from the position (G91); 0: it is at the
-    numbers (G90).
+    hole: _ABSOLUTE if it is at the numbers (G90); in G91 its number, 1 for the first: it is so
+    many times the numbers away from the position.
     """
     words = ""
-    for number, position, i in in_plane:
-        end = _text(position + count * float(number)) if count else number
-        words += _AXIS_LETTERS[i] + end
+    for number, position, axis in in_plane:
+        end = number if hole == _ABSOLUTE else _text(position + hole * float(number))
+        words += _AXIS_LETTERS[axis] + end
     return words
 
 

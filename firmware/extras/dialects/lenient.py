@@ -127,8 +127,9 @@ class Lenient:
         its axis words as a motion.
         """
         drilling = self._drilling
-        is_watched = drilling.cycle or drilling.ends_at_r or line.find(b"T", 0, length) >= 0
-        words = (_words_of_line(line, length) if is_watched else None) or []  # []: not read
+        words: "list[Word]" = []  # stays empty if they do not matter, or it is not words only
+        if drilling.cycle or drilling.ends_at_r or line.find(b"T", 0, length) >= 0:
+            words = _words_of_line(line, length) or []
         is_executed = drilling.repeats(words) and self._execute_changed(line, length, words)
         if not is_executed:
             if drilling.cycle and has(words, "G", _G53) and not has(words, "G", *MOTIONS):
@@ -179,8 +180,9 @@ class Lenient:
             return True
         if has(words, "G", _G98) and has(words, "G", _G99):
             raise GrblError(GCODE_MODAL_GROUP_VIOLATION)
-        keys = ["%"] if line.find(b"%", 0, length) >= 0 else []
-        rest = self._keep_words(words, keys)  # appends to keys
+        rest, keys = self._split_words(words)
+        if line.find(b"%", 0, length) >= 0:
+            keys.insert(0, "%")
         drilling = self._drilling
         ends_at_r = has(words, "G", _G99) or (drilling.ends_at_r and not has(words, "G", _G98))
         # As written, for the message; _split() refuses a second one.
@@ -228,10 +230,10 @@ class Lenient:
             self._cnc.write_line(" ".join(positions).encode())
         return True
 
-    def _keep_words(self, words: "list[Word]", keys: "list[str]") -> "list[Word]":
-        """Return the words that stay, of those of a line. Append the keys in _MESSAGES of the
-        others to `keys`. The S of G4 becomes P."""
-        rest = []
+    def _split_words(self, words: "list[Word]") -> "tuple[list[Word], list[str]]":
+        """Return the words of a line that stay, and the keys in _MESSAGES of the dropped ones. The
+        S of G4 becomes P: it stays, and has a key."""
+        rest, keys = [], []
         for word in words:
             _, text, tenths = word
             key = self._message_key(word, words)
@@ -241,7 +243,7 @@ class Lenient:
                 rest.append(("P", text, tenths))  # Grbl's word for the seconds of a dwell
             elif not key:
                 rest.append(word)
-        return rest
+        return rest, keys
 
     def _message_key(self, word: "Word", words: "list[Word]") -> str:
         """Return the key in _MESSAGES of a word that may be dropped, or of the S of G4, which is

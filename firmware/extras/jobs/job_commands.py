@@ -77,9 +77,11 @@ class Jobs:
     def fluidnc(self, words: bytes) -> None:
         """Execute the text after $SD/ or $LocalFS/. The reader drops the slash."""
         word, equals, name = words.partition(b"=")
-        if word not in _FLUIDNC or bool(equals) != bool(_FLUIDNC[word]):  # LIST has no = and name
+        verb = _FLUIDNC.get(word)
+        # LIST, whose verb is empty, has no = and name; the others need both.
+        if verb is None or bool(equals) != bool(verb):
             raise GrblError(errors.INVALID_STATEMENT)
-        self.command(_FLUIDNC[word] + name)
+        self.command(verb + name)
 
     def command(self, words: bytes) -> None:
         """Execute the text after $F (words). GrblError if it is refused or a card cannot be read,
@@ -149,8 +151,8 @@ class Jobs:
 
     def _report_button(self) -> None:
         """Report the start button's job."""
-        name = self._run.stored(BUTTON)
-        self._cnc.message("Start button: " + (sanitize(name[0]) if name else "no job"))
+        names = self._run.stored(BUTTON)  # one, or none
+        self._cnc.message("Start button: " + (sanitize(names[0]) if names else "no job"))
 
     def _assign_button(self, name: str) -> None:
         """Assign a job to the start button; "" for none."""
@@ -161,26 +163,29 @@ class Jobs:
         GrblError if it cannot start."""
         if self._machine.state.run == st.ALARM:
             raise GrblError(errors.SYSTEM_GC_LOCK)
-        name, in_middle, number = name.partition("@")  # in_middle: "@" or ""
-        if in_middle and not number:
+        starts_in_middle = "@" in name
+        name, _, number = name.partition("@")
+        if starts_in_middle and not number:
             name, number = self._unfinished_job(name)
         try:
-            line = int(number) if in_middle else 0  # 0: from the beginning
+            line = int(number) if starts_in_middle else 1
         except ValueError:
-            line = -1  # refused
-        if line < 0 or (in_middle and line == 0):
+            line = 0  # refused, as numbers below 1
+        if line < 1:
             raise GrblError(errors.BAD_NUMBER_FORMAT)
         name = self._existing_name(name)
-        if in_middle and not self._machine.homing_probing.homed:
+        if starts_in_middle and not self._machine.homing_probing.homed:
             self._run.report(name, "to start at a line within the job, home first ($H)")
             raise GrblError(errors.INVALID_STATEMENT)
-        self._run.request(name, line)
+        self._run.request(name, line if starts_in_middle else 0)  # 0: from the beginning
 
     def _unfinished_job(self, name: str) -> "tuple[str, str]":
         """Return the unfinished job and its last noted line, as text. name: of that job, or "".
         GrblError if none is noted, or another one."""
         journal = self._run.journal()  # its name, line and state; empty without one
-        if not journal or name not in ("", journal[0]):
-            self._cnc.message("No unfinished job" + (" of that name" if name else ""))
-            raise GrblError(errors.INVALID_STATEMENT)
-        return journal[0], journal[1]
+        if journal:
+            unfinished_name, line, _ = journal
+            if name in ("", unfinished_name):
+                return unfinished_name, line
+        self._cnc.message("No unfinished job" + (" of that name" if name else ""))
+        raise GrblError(errors.INVALID_STATEMENT)

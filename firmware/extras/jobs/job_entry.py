@@ -50,6 +50,9 @@ _SLOW_MM_MIN = 100.0  # descent to a line that has no feed rate in mm/min
 _TOLERANCE = 0.0005  # of settings and offsets, which are shown with three decimals
 _SPIN_UP_S = const(4)  # seconds for the spindle to reach its speed
 _Z = const(2)
+# Indices of in_force()'s result.
+_POSITION = const(0)
+_MODAL = const(1)
 _COOLANTS = ("", "M8", "M7", "M7M8")  # by their mask
 
 
@@ -90,8 +93,8 @@ class Entry:
     """The approach to a line, and the modes that hold there.
 
     reader: for the lines of the file. _longest_line: in bytes. After rehearse(), _state_at_line is
-    in_force() at that line, with the position at index 0, _offsets_at_line the stored offsets of
-    each system there, and _highest_z the greatest Z before it, mm in machine coordinates.
+    in_force() at that line, _offsets_at_line has the stored offsets of each system there, and
+    _highest_z is the greatest Z before it, mm in machine coordinates.
     has_ended: the program has ended before the line.
     """
 
@@ -118,11 +121,11 @@ class Entry:
         machine = self._machine
         coords, state = machine.coords, machine.state
         motions = machine.interpreter.motions
-        if start[1][MOTION] in motions:
+        if start[_MODAL][MOTION] in motions:
             raise CannotEnter("a canned cycle is still active where the job begins")
         cycles = [(motion, motion.kept) for motion in motions.values()]
         state_before = in_force(machine)
-        offsets_before, self._offsets_at_line = array("f", coords.offsets), systems
+        offsets_before = array("f", coords.offsets)
         for i in range(len(systems)):
             coords.change(i, systems[i])
         hooks = state.hooks
@@ -134,13 +137,13 @@ class Entry:
         try:
             apply(machine, start)
             self._check_lines_before(file, line)
-            for why_not in self._cnc.entries:  # each returns a text if an extra objects, else ""
-                if why_not():
-                    raise CannotEnter(why_not())
+            for why_no_entry in self._cnc.entries:  # of other extras; each returns why, or ""
+                why = why_no_entry()
+                if why:
+                    raise CannotEnter(why)
             self._state_at_line = in_force(machine)
             self._offsets_at_line = [array("f", values) for values in coords.systems]
-            position_before = state_before[0]
-            self._check_homed(position_before)
+            self._check_homed(state_before[_POSITION])
         finally:
             hooks.write_offsets = write_before
             coords.offsets[:] = offsets_before
@@ -178,8 +181,9 @@ class Entry:
         one."""
         memory = self._reader.memory()
         ring, reader_state, _, kinds = memory
-        result, is_begun = 0, False  # clean() returns 0 until the line is complete
-        while result == 0:
+        is_begun = False  # a piece of the line has been read
+        result = 0
+        while result == 0:  # the line is incomplete
             text = file.readline(_PIECE_BYTES)
             if not text and not is_begun:
                 return 0
@@ -226,25 +230,25 @@ class Entry:
 
     def _check_setting(self, line: bytearray, number: int) -> None:
         """Check that a setting already has the line's value. It is not written again."""
-        end, setting = bare(line, 1)  # after $: index of the =, and the setting's number
-        _, value = bare(line, end + 1)
-        for known, amount, _ in self._machine.settings.each():
-            if known == setting and differs(amount, value):
+        equals, setting = bare(line, 1)  # after $: index of the =, and the setting's number
+        _, value = bare(line, equals + 1)
+        for existing, present_value, _ in self._machine.settings.each():
+            if existing == setting and differs(present_value, value):
                 text = "line %d sets $%d, which differs now: set it first"
-                raise CannotEnter(text % (number, known))
+                raise CannotEnter(text % (number, existing))
 
     def _check_homed(self, here: "list[float]") -> None:
         """Check that axes that are not homed do not have to move.
 
-        here: the position before the approach, in mm. Positions are compared in steps, because
-        singles that differ by less than a step need no move.
+        here: the position before the approach, in mm. Positions are compared in steps, because a
+        difference of less than a step needs no move.
         """
-        position = self._state_at_line[0]  # position at the line, mm
+        position = self._state_at_line[_POSITION]  # at the line, mm
         for axis in range(len(here)):
-            stations = [here[axis], position[axis]]  # positions on the approach
+            way_mm = [here[axis], position[axis]]  # its positions on the approach
             if axis == _Z:  # it also moves to the safe height
-                stations.append(self._highest_z)
-            moves = self._in_steps(axis, min(stations)) != self._in_steps(axis, max(stations))
+                way_mm.append(self._highest_z)
+            moves = self._in_steps(axis, min(way_mm)) != self._in_steps(axis, max(way_mm))
             if moves and not self._machine.homing_probing.homed >> axis & 1:
                 text = "%s would have to move, but is not homed: home it first"
                 raise CannotEnter(text % LETTERS[axis])
@@ -255,10 +259,10 @@ class Entry:
         """Return the lines of G-code that move the tool to the start, some of them empty: all off,
         up, across, tool on, down. A laser is switched on last."""
         position, modal, rates, _, _, _ = self._state_at_line
-        spindle, coolant = modal[SPINDLE], _COOLANTS[modal[COOLANT]]
-        turn = ""  # M3 or M4 with its S
-        if spindle:
-            turn = "M%dS%.3f" % (3 if spindle == SPINDLE_CW else 4, rates[RPM])
+        coolant = _COOLANTS[modal[COOLANT]]
+        spindle = ""  # M3 or M4 with its S
+        if modal[SPINDLE]:
+            spindle = "M%dS%.3f" % (3 if modal[SPINDLE] == SPINDLE_CW else 4, rates[RPM])
         up, down = self._axis_word(_Z, self._highest_z), self._axis_word(_Z, position[_Z])
         across = ""  # words of all other axes
         for axis in range(len(position)):
@@ -266,10 +270,10 @@ class Entry:
                 across += self._axis_word(axis, position[axis])
         begin = ["G21G90G94M5M9", "G53G0" + up, "G53G0" + across]
         if self._machine.spindle.laser:  # dark during G0
-            return begin + ["G53G0" + down, coolant, turn]
+            return begin + ["G53G0" + down, coolant, spindle]
         feed = _SLOW_MM_MIN if modal[INVERSE_TIME] or rates[FEED] <= 0 else rates[FEED]
-        dwell = "G4P%d" % _SPIN_UP_S if turn else ""
-        return begin + [turn, coolant, dwell, "G53G1%sF%.3f" % (down, feed)]
+        dwell = "G4P%d" % _SPIN_UP_S if spindle else ""
+        return begin + [spindle, coolant, dwell, "G53G1%sF%.3f" % (down, feed)]
 
     def _axis_word(self, axis: int, mm: float) -> str:
         """Return an axis word for a position (mm), rounded to a whole step, so that the machine
@@ -288,7 +292,7 @@ class Entry:
     def apply_modes(self) -> None:
         """Apply the modes at the line, and store the offsets that the lines before it have
         changed. CannotEnter if the tool is not at its position."""
-        position, here = self._state_at_line[0], self._machine.modes.position
+        position, here = self._state_at_line[_POSITION], self._machine.modes.position
         for axis in range(len(position)):
             if self._in_steps(axis, here[axis]) != self._in_steps(axis, position[axis]):
                 raise CannotEnter("the tool is not where that line begins")

@@ -108,11 +108,11 @@ def _note_blocks(state: ptr32, line_of_row: ptr32, flow: ptr32, answers: int) ->
     head = flow[layout.HEAD]
     rows = flow[layout.ROWS]
     line = state[_LINES_ANSWERED] + 1  # of the first block
-    last_line = state[_LINES_ANSWERED] + answers if answers else line  # of all blocks after it
+    later_line = state[_LINES_ANSWERED] + answers if answers else line  # of all blocks after it
     state[_LINES_ANSWERED] += answers
     while row != head:
         line_of_row[row] = line
-        line = last_line
+        line = later_line
         row += 1
         if row == rows:
             row = 0
@@ -288,15 +288,16 @@ class Feed:
     def _call_on_hold(self) -> None:
         """Call on_hold() in a complete hold, once per line, if the line is the same at two looks
         and the stack has space."""
-        is_new_hold = self._line_before == self._line_now != self._held_line
-        if is_new_hold and self._has_stack_for(_STACK_TO_NOTE):
+        has_settled = self._line_before == self._line_now
+        is_noted = self._held_line == self._line_now
+        if has_settled and not is_noted and self._has_stack_for(_STACK_TO_NOTE):
             self._held_line = self._line_now
             self._on_hold()
 
-    def _has_stack_for(self, use: int) -> bool:
-        """Return whether stack is free for a use: _STACK_TO_NOTE or _STACK_TO_READ, the bytes that
-        may be in use already, beyond those in use at the job's start."""
-        return micropython.stack_use() - self._stack_at_start < use
+    def _has_stack_for(self, limit: int) -> bool:
+        """Return whether fewer bytes of stack than `limit` (_STACK_TO_NOTE, _STACK_TO_READ) are in
+        use, beyond those in use at the job's start."""
+        return micropython.stack_use() - self._stack_at_start < limit
 
     def line_in_motion(self) -> int:
         """Return the line of the block that the engine was given last; without blocks the line

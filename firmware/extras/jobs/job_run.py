@@ -45,7 +45,7 @@ _PIECE_BYTES = const(512)
 class JobRun:
     """The job. No other part uses `reader` while it runs.
 
-    _name, _size: the running job, and the bytes of its file; _origin: see _CRC and so on.
+    _name, _size: the running job, and the bytes of its file; _origin: list, see _CRC and so on.
     _requested: the requested job, "" for none; _requested_line: its first line, 0 for all of it;
     _requested_crc: CRC-32 of its file, or _CRC_UNKNOWN. _file_to_enter: the file, while the tool
     approaches its line, else None. _refused: Grbl's error number of the line that has ended the
@@ -116,7 +116,7 @@ class JobRun:
                 self._requested = name  # the sender's line goes first
                 file.close()
                 return
-            self._origin = [self._requested_crc, in_force(self._machine), []]  # as _CRC and so on
+            self._origin = [self._requested_crc, in_force(self._machine), []]  # see _CRC
             if line:
                 self._prepare_approach(file, line)
         except CannotEnter as why:
@@ -186,12 +186,12 @@ class JobRun:
         CannotEnter if some of these have been written by others since.
         """
         systems = [array("f", values) for values in self._machine.coords.systems]
-        for index, before, written in self._origin[_WRITTEN_OFFSETS]:
+        for index, values_before, written in self._origin[_WRITTEN_OFFSETS]:
             for axis in range(len(written)):
                 if differs(written[axis], systems[index][axis]):
                     text = "%s was changed since the job set it: its value is uncertain"
                     raise CannotEnter(text % NAMES[index])
-            systems[index] = array("f", before)
+            systems[index] = array("f", values_before)
         return systems
 
     def _write_offsets(self, index: int, values: "array[float]") -> None:
@@ -201,8 +201,8 @@ class JobRun:
             written = self._origin[_WRITTEN_OFFSETS]  # rows of index, values before, values now
             rows = [row for row in written if row[0] == index]  # one, or none yet
             if not rows:
-                rows.append([index, list(self._machine.coords.systems[index]), []])
-                written.append(rows[0])
+                rows = [[index, list(self._machine.coords.systems[index]), []]]
+                written.extend(rows)
             rows[0][2] = list(values)
             self._save_journal(self._feed.line() + 1)  # the line that writes has no answer yet
         self._previous_write(index, values)
@@ -228,16 +228,16 @@ class JobRun:
 
     def _start_by_button(self) -> None:
         """Request the start button's job, if the machine is idle and the file exists."""
-        name = self.stored(BUTTON)
+        name = (self.stored(BUTTON) or [""])[0]  # "" if none is assigned
         is_idle = self._machine.state.run == st.IDLE and not (self._feed.is_on or self._requested)
         if name and is_idle and self._is_free():
             try:
                 self._files.mount()
-                if self._files.size(name[0]) >= 0:
-                    self.request(name[0], 0)
+                if self._files.size(name) >= 0:
+                    self.request(name, 0)
             except OSError:
                 self._files.lose()
-                self.report(name[0], "the SD card is missing")
+                self.report(name, "the SD card is missing")
 
     def _advance_job(self) -> None:
         """Answer the sender; once all lines are executed, go on from the approach to the file, or
@@ -264,7 +264,7 @@ class JobRun:
         self._feed.stop_reading()
 
     def _report_refusal(self, line: int) -> None:
-        """Switch the tool off and report the line, when motion planned before it has ended."""
+        """Switch the tool off, and report the line refused or not read, when motion has ended."""
         self._tool_off()
         if self._refused:
             why = "is refused with %d" % self._refused
@@ -279,7 +279,7 @@ class JobRun:
         self.report(self._name, "line %d %s" % (line, why))
 
     def _tool_off(self) -> None:
-        """Switch spindle and coolant off in any state. Nothing moves."""
+        """Switch spindle and coolant off, in any state, without a move."""
         machine = self._machine
         machine.canon.safe()
         machine.modes.modal[SPINDLE] = machine.modes.modal[COOLANT] = 0

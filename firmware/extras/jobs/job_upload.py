@@ -73,10 +73,10 @@ class Upload:
         """Refuse a file by a message and GrblError if its name or size (bytes) is impossible."""
         if not self._files.is_name(name):
             self._refuse("A job name may have up to 32 letters, digits, . _ -")
-        room_kb = self._files.free_kb()
-        if size <= 0 or size > room_kb * 1024:
+        free_kb = self._files.free_kb()
+        if size <= 0 or size > free_kb * 1024:
             text = "%s has %d bytes, but only %d kB are free"
-            self._refuse(text % (sanitize(name), size, room_kb))
+            self._refuse(text % (sanitize(name), size, free_kb))
 
     def _refuse(self, why: str) -> None:
         """Send a message, and raise GrblError."""
@@ -99,13 +99,13 @@ class Upload:
             files.drop(name, file)
             raise
         if not files.finish(name, file, checksum):
-            self._drain("the checksum does not match")
+            self._drain_and_refuse("the checksum does not match")
 
     def _receive_piece(self, size: int) -> bytearray:
         """Receive the next piece of so many bytes, and return it. GrblError if it is damaged."""
         piece = bytearray(size)
         if self._receive_data(piece) != size:
-            self._drain("the data arrived damaged")
+            self._drain_and_refuse("the data arrived damaged")
         return piece
 
     def _receive_data(self, piece: bytearray) -> int:
@@ -114,7 +114,7 @@ class Upload:
         packed = b""
         length = self._next_line()
         try:
-            while length and len(packed) <= _PIECE_BYTES + _LINE_BYTES:  # no more can be right
+            while length and len(packed) <= _PIECE_BYTES + _LINE_BYTES:  # more is damaged data
                 packed += binascii.a2b_base64(bytes(self._reader.line[:length]))
                 length = self._next_line()
             return deflate.DeflateIO(io.BytesIO(packed), deflate.RAW, _WINDOW_LOG2).readinto(piece)
@@ -133,9 +133,9 @@ class Upload:
             if result & LINE:
                 return result >> 2
             if result & TOO_LONG:
-                self._drain("the data arrived damaged")
+                self._drain_and_refuse("the data arrived damaged")
             if port.elapsed_ms(last_byte_ms) > _SILENCE_MS:
-                self._drain("the sender stopped sending")
+                self._drain_and_refuse("the sender stopped sending")
 
     def _poll_link(self) -> bool:
         """Read received bytes and handle real-time commands. Return whether the reader got bytes
@@ -147,13 +147,13 @@ class Upload:
         self._machine.realtime.handle_events()
         return reader.free() != free_before
 
-    def _drain(self, why: str) -> None:
+    def _drain_and_refuse(self, why: str) -> None:
         """Drop the rest, which must not be read as commands, until the sender is quiet for
         _QUIET_MS, or for _SILENCE_MS at the most; then report why, and raise GrblError."""
         port = self._machine.port
-        begun_ms = last_byte_ms = port.ticks_ms()
+        start_ms = last_byte_ms = port.ticks_ms()
         while (
-            port.elapsed_ms(last_byte_ms) < _QUIET_MS and port.elapsed_ms(begun_ms) < _SILENCE_MS
+            port.elapsed_ms(last_byte_ms) < _QUIET_MS and port.elapsed_ms(start_ms) < _SILENCE_MS
         ):
             if self._poll_link():
                 last_byte_ms = port.ticks_ms()
