@@ -184,7 +184,7 @@ class Cnc:
         return self._words.is_taken(letter, number)
 
     def has_word(self, line: bytearray, length: int) -> bool:
-        """Return whether a line, which a 0 follows, has a word added here."""
+        """Return whether a line has a word added here. line[length] is 0."""
         return self._words.find(line, length) is not None
 
     def remove_commands(self, letters: bytes) -> None:

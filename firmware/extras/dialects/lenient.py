@@ -185,7 +185,7 @@ class Lenient:
             keys.insert(0, "%")
         drilling = self._drilling
         ends_at_r = has(words, "G", _G99) or (drilling.ends_at_r and not has(words, "G", _G98))
-        # As written, for the message; _split() refuses a second one.
+        # As written, for the message. plan() refuses a second one.
         cycles = [
             "G" + text for letter, text, tenths in rest if letter == "G" and tenths in CYCLES
         ]

@@ -50,7 +50,7 @@ _SLOW_MM_MIN = 100.0  # descent to a line that has no feed rate in mm/min
 _TOLERANCE = 0.0005  # of settings and offsets, which are shown with three decimals
 _SPIN_UP_S = const(4)  # seconds for the spindle to reach its speed
 _Z = const(2)
-# Indices of in_force()'s result.
+# Indices of program_state()'s result.
 _POSITION = const(0)
 _MODAL = const(1)
 _COOLANTS = ("", "M8", "M7", "M7M8")  # by their mask
@@ -65,17 +65,17 @@ class CannotEnter(Exception):
     """The job cannot start at this line. The text says why."""
 
 
-def in_force(machine: "Controller") -> "list[Any]":
-    """Return the position and all modes that a program can have set, for apply(): position (mm),
-    modal state, feed and rpm, tool, G92 and tool length. It can be stored as JSON."""
+def program_state(machine: "Controller") -> "list[Any]":
+    """Return what a program can have set, for apply_state(): position (mm), modal state, feed and
+    rpm, tool, G92 and tool length. It can be stored as JSON."""
     modes, coords = machine.modes, machine.coords
     modal = list(modes.modal[:MODAL_LENGTH])
     position, rates, g92 = list(modes.position), list(modes.rates[:TOOL]), list(coords.g92)
     return [position, modal, rates, modes.tool, g92, coords.tool_length]
 
 
-def apply(machine: "Controller", stored: "list[Any]") -> None:
-    """Apply what in_force() has returned (stored) to the interpreter's modes and the offsets. The
+def apply_state(machine: "Controller", stored: "list[Any]") -> None:
+    """Apply a result of program_state() (stored) to the interpreter's modes and the offsets. The
     outputs of spindle and coolant stay as they are."""
     modes, coords, state = machine.modes, machine.coords, machine.state
     position, modal, rates, tool, g92, coords.tool_length = stored
@@ -93,7 +93,7 @@ class Entry:
     """The approach to a line, and the modes that hold there.
 
     reader: for the lines of the file. _longest_line: in bytes. After rehearse(), _state_at_line is
-    in_force() at that line, _offsets_at_line has the stored offsets of each system there, and
+    program_state() at that line, _offsets_at_line has the stored offsets of each system there, and
     _highest_z is the greatest Z before it, mm in machine coordinates.
     has_ended: the program has ended before the line.
     """
@@ -114,9 +114,8 @@ class Entry:
     ) -> None:
         """Run the lines before `line` in check mode, and leave the file at that line.
 
-        start: in_force() before the first line; systems: a copy of the stored offsets, which the
-        lines change. The machine's own state is restored. CannotEnter if the state at the line is
-        not certain.
+        start, systems: program_state() and the stored offsets before the first line. The machine's
+        own state and offsets are restored. CannotEnter if the state at the line is not certain.
         """
         machine = self._machine
         coords, state = machine.coords, machine.state
@@ -124,24 +123,25 @@ class Entry:
         if start[_MODAL][MOTION] in motions:
             raise CannotEnter("a canned cycle is still active where the job begins")
         cycles = [(motion, motion.kept) for motion in motions.values()]
-        state_before = in_force(machine)
+        state_before = program_state(machine)
         offsets_before = array("f", coords.offsets)
         for i in range(len(systems)):
             coords.change(i, systems[i])
         hooks = state.hooks
         # The lines change offsets in memory, and store none.
-        write_before, hooks.write_offsets = hooks.write_offsets, coords.change
+        write_before = hooks.write_offsets
+        hooks.write_offsets = coords.change
         self.has_ended = False
         self._highest_z = machine.modes.position[_Z]
         state.enter(st.CHECK)
         try:
-            apply(machine, start)
+            apply_state(machine, start)
             self._check_lines_before(file, line)
             for why_no_entry in self._cnc.entries:  # of other extras; each returns why, or ""
                 why = why_no_entry()
                 if why:
                     raise CannotEnter(why)
-            self._state_at_line = in_force(machine)
+            self._state_at_line = program_state(machine)
             self._offsets_at_line = [array("f", values) for values in coords.systems]
             self._check_homed(state_before[_POSITION])
         finally:
@@ -149,7 +149,7 @@ class Entry:
             coords.offsets[:] = offsets_before
             if state.run == st.CHECK:  # no reset has come
                 state.enter(st.IDLE)
-            apply(machine, state_before)
+            apply_state(machine, state_before)
             for motion, numbers in cycles:
                 motion.kept = numbers
             machine.resync()
@@ -300,7 +300,7 @@ class Entry:
         for i in range(len(self._offsets_at_line)):
             if list(coords.systems[i]) != list(self._offsets_at_line[i]):
                 self._machine.state.hooks.write_offsets(i, self._offsets_at_line[i])
-        apply(self._machine, self._state_at_line)
+        apply_state(self._machine, self._state_at_line)
 
 
 def _ignore_byte(_byte: int) -> None:

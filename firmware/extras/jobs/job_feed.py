@@ -128,8 +128,8 @@ class Feed:
 
     _file: None once all is read; _size, _read_bytes: its bytes, and how many were read.
     _file_bytes, _state: the bytes being delivered, and the kernels' state. _line_of_row: the line
-    that made each row of the planner's ring. _line_now, _line_before: the line that the engine was
-    given last, at the last look (at _looked_ms) and at the one before, _IN_ENGINE_MS earlier;
+    that made each row of the planner's ring. _line_now, _line_before: line_in_motion() at
+    the last look (at _looked_ms), and at the one before it, at least _IN_ENGINE_MS earlier;
     _held_line: the line that on_hold() was called for. _stack_at_start: bytes of stack in use.
     _is_startup: the next answer is a startup line's.
 
@@ -257,8 +257,8 @@ class Feed:
     def stop(self) -> None:
         """Let the loop read the sender again.
 
-        Its unanswered lines are answered. The beginning of an unfinished line is put before its
-        rest.
+        The sender's unanswered lines are answered. The beginning of an unfinished one goes to the
+        reader, where its rest follows.
         """
         self.stop_reading()
         self.answer()

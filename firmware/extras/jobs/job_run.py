@@ -16,7 +16,7 @@ from control.coords import NAMES
 from control.modes import COOLANT, SPINDLE
 from micropython import const
 
-from extras.jobs.job_entry import CannotEnter, Entry, differs, in_force
+from extras.jobs.job_entry import CannotEnter, Entry, differs, program_state
 from extras.jobs.job_feed import Feed
 
 TYPE_CHECKING = const(False)
@@ -36,7 +36,7 @@ BUTTON = "button"
 _STALE_PRESS_MS = const(50)  # an older press is ignored: something else ran meanwhile
 # Indices of _origin, what a later start in the middle needs.
 _CRC = const(0)  # CRC-32 of the job's file
-_IN_FORCE = const(1)  # in_force() before its first line
+_STATE_BEFORE = const(1)  # program_state() before its first line
 _WRITTEN_OFFSETS = const(2)  # stored offsets it wrote: [index, values before, values now] each
 _CRC_UNKNOWN = const(-1)
 _PIECE_BYTES = const(512)
@@ -116,7 +116,7 @@ class JobRun:
                 self._requested = name  # the sender's line goes first
                 file.close()
                 return
-            self._origin = [self._requested_crc, in_force(self._machine), []]  # see _CRC
+            self._origin = [self._requested_crc, program_state(self._machine), []]  # see _CRC
             if line:
                 self._prepare_approach(file, line)
         except CannotEnter as why:
@@ -167,9 +167,9 @@ class JobRun:
             self._origin = json.loads(journal[2])
             if self._origin[_CRC] != self._requested_crc:
                 raise CannotEnter("the file has changed since that job stopped")
-        systems = self._offsets_at_start()
+        offsets_before = self._offsets_at_start()
         self._tool_off()
-        self._entry.rehearse(file, line, self._origin[_IN_FORCE], systems)
+        self._entry.rehearse(file, line, self._origin[_STATE_BEFORE], offsets_before)
 
     def _start_approach(self, file: "IO[bytes]", line: int) -> None:
         """Start the approach to a line."""
