@@ -468,6 +468,15 @@ def test_laser_is_what_the_modes_say_after_saved(
     assert made.power == power and f"[GC:{modes}]" in said[-1]
 
 
+def test_laser_stays_dark_after_failed_probing_in_saved(bench: Make) -> None:
+    """The block ends in ALARM:5, and G1 with M3, which it would restore, would light the laser."""
+    made = bench('@mcode(100)\ndef a(m):\n    with m.saved():\n        m.probe("Z-2 F600")')
+    made.store.files["settings"].append("$32=1")  # laser mode
+    said = made.say(*lines("G1 F900 M3 S500"), ("M100\n", "ms 60000"), *lines("$G"))
+    assert "ALARM:5" in said[-2] and made.power == 0
+    assert "[GC:G38.2 G54 G17 G21 G90 G94 M3 M9 T0 F900 S500]" in said[-1]
+
+
 def test_handler_during_motion_has_no_line_to_refuse(bench: Make) -> None:
     made = bench('@every(10)\ndef a(m):\n    if m.position().x > 1: raise Refuse("no")')
     said = made.say(("G1X9F500\nG1X0\n", "ms 3000"))

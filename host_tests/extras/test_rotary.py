@@ -4,12 +4,14 @@ Machine.received is all output; Machine.reported() returns the last reported pos
 """
 
 import math
+from array import array
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import pytest
+from extras.custom.positions import ModalState
 from hypothesis import given
 from hypothesis import strategies as st
 from language.block_layout import MOVE
@@ -260,6 +262,29 @@ def test_axis_without_travel_turns_without_limit_and_others_do_not() -> None:
         ("G2X8I4A9F900", "ALARM:2"),
     ):
         assert refusal in stopped(line, _LIMITED), line
+
+
+def test_work_position_stays_if_axis_is_unwound_in_saved_block() -> None:
+    """A is near the end of exact numbers, so that the line in m.saved() unwinds it by whole turns.
+    G92 is restored by the block, less these turns."""
+    machine = Machine({**_SWIFT, 133: 0}, board())
+    steps = array("i", (0, 0, 0, 16_770_000))
+    block: "list[ModalState]" = []
+
+    def answered(line: str, _: "list[str]") -> None:
+        controller: Any = machine.rig.controller
+        if line == "$X":  # A is at 67080 degrees
+            controller.engine.set_position(steps)
+            controller.resync()
+        elif line == "G92A90":
+            block.append(ModalState(controller, standard=False, blocks=[]))
+            block[0].__enter__()
+        elif line == "G91G0A100":
+            assert controller.modes.position[3] == 67180 - 360 * 186  # it was unwound
+            block[0].__exit__()
+            assert controller.modes.position[3] - controller.coords.g92[3] == 90 + 100
+
+    machine.converse(("$X", "G92A90", "G91G0A100"), answered)
 
 
 def test_rotary_axis_with_travel_is_limited() -> None:

@@ -88,6 +88,8 @@ class ModalState:
         self.modal = list(modes.modal)
         self._feed = modes.rates[FEED]
         self._length, self._g92 = coords.tool_length, array("f", coords.g92)
+        # By endless axis, the degrees subtracted so far from its position and its G92.
+        self.unwound = dict(getattr(self._machine.canon, "unwound", ()))
         cycles = self._machine.interpreter.motions.values()
         self._cycles = [(cycle, cycle.kept) for cycle in cycles]
         self._open_blocks.append(self)
@@ -100,22 +102,26 @@ class ModalState:
         self._length = self._machine.coords.tool_length
 
     def __exit__(self, *fault: object) -> None:
-        """Restore everything copied, unless a reset is pending. An exception is passed on."""
+        """Restore everything copied, unless a reset is pending. An exception is passed on. In an
+        alarm the motion mode stays, because a laser is on in cutting modes."""
         machine = self._machine
         modes, coords = machine.modes, machine.coords
         if self in self._open_blocks:
             self._open_blocks.remove(self)
         if machine.state.pending[st.RESET]:
             return  # the reset has set the modes
+        in_alarm = machine.state.alarm or machine.state.run == st.ALARM
         cut_in_block = CUTTING >> modes.modal[MOTION] & 1  # CUTTING, bit i: motion mode i cuts
         for i in range(MODAL_LENGTH):
-            if i not in _NOT_RESTORED:
+            if i not in _NOT_RESTORED and not (i == MOTION and in_alarm):
                 modes.modal[i] = self.modal[i]
         coords.active = modes.modal[SYSTEM]
         for cycle, kept in self._cycles:
             cycle.kept = kept
         modes.rates[FEED] = self._feed
         coords.tool_length = self._length
+        for axis, degrees in getattr(machine.canon, "unwound", {}).items():
+            self._g92[axis] -= degrees - self.unwound.get(axis, 0.0)  # during the block
         coords.set_g92(self._g92)
         machine.state.wco_countdown = 0  # the next status report has the offsets
         cuts_now = CUTTING >> modes.modal[MOTION] & 1

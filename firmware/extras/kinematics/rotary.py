@@ -93,13 +93,15 @@ class RotaryPlanner(Planner):
 
 
 class RotaryCanon(Canon):
-    """Canon of a machine with rotary axes. axes: their numbers. coords: the offsets."""
+    """Canon of a machine with rotary axes. axes: their numbers. coords: the offsets. unwound: by
+    axis, the degrees that have been subtracted since power-up."""
 
     axes: "tuple[int, ...]" = ()
     planner: "RotaryPlanner"
     engine: "Any"
     modes: "Any"
     coords: "Any"
+    unwound: "dict[int, float]"
 
     def configure(self) -> None:
         """Apply settings, as Canon.configure(). Endless axes have no limit of travel."""
@@ -150,6 +152,7 @@ class RotaryCanon(Canon):
                 g92 = array("f", self.coords.g92)
                 g92[axis] -= degrees
                 self.coords.set_g92(g92)
+                self.unwound[axis] = self.unwound.get(axis, 0.0) + degrees
                 state.wco_countdown = 0  # the next status report has the offsets
                 state.invalidate_lines()
             # Allow this line's target, which may still be beyond, as far as any axis may go.
@@ -237,6 +240,7 @@ def install(cnc: "Cnc") -> None:
     planner.linear = all_axes & ~rotary
     planner.block = block
     canon.engine, canon.modes, canon.coords = machine.engine, machine.modes, machine.coords
+    canon.unwound = {}
     canon.axes = tuple([axis for axis in range(planner.axes) if rotary >> axis & 1])
     # A mask of axes whose numbers are lengths: inches with G20.
     machine.interpreter.machine[LENGTHS] &= ~rotary
