@@ -18,6 +18,7 @@ from extras.custom_codes import CustomCodes
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
+    from typing import Any
 
     from base.settings import Rows
     from interfaces import Job
@@ -49,14 +50,16 @@ _RENAMED = {
 
 class Cnc:
     """The machine, as an extra sees it. Units are Grbl's: mm, mm/min, rpm. entries: each returns
-    why a program cannot be entered at a line in its middle now, or "". job: the running job of a
-    board with JOBS, else None."""
+    why a program cannot be entered at a line in its middle now, or "". cycles: each has an
+    attribute `kept`, what holds for its next line. job: the running job of a board with JOBS, else
+    None."""
 
     def __init__(self, machine: "Controller") -> None:
         self._machine = machine
         self._hooks = machine.state.hooks
         self._words = CustomCodes(machine)
         self.entries: "list[Callable[[], str]]" = []
+        self.cycles: "list[Any]" = []
         self.job: "Job | None" = None
 
     # Parts and answers
@@ -170,7 +173,9 @@ class Cnc:
         from extras.cycles import Cycle
 
         machine = self._machine
-        machine.interpreter.add_motion(number, Cycle(machine, plan, letters))
+        cycle = Cycle(machine, plan, letters)
+        machine.interpreter.add_motion(number, cycle)
+        self.cycles.append(cycle)
         self.entries.append(
             lambda: (
                 "the line is inside a canned cycle: start before it"

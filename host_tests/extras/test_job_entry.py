@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 from language.block_layout import MOVE
 from motion.arc_geometry import TOLERANCE
-from test_jobs import FAST, HOMED, Bench, homed, to_its_end
+from test_jobs import FAST, HOMED, Bench, homed, say, to_its_end
 from ugrbl.grbl.gcode_file import read_lines
 
 _PROGRAMS = Path(__file__).resolve().parents[3] / "shared" / "gcode"
@@ -117,3 +117,13 @@ def test_program_entered_at_a_line_continues_like_a_whole_run(
     expected = [entry for entry in whole_log if line <= entry[0] <= line + _BEHIND]
     entered = [entry for entry in bench.behind(line) if entry[0] <= line + _BEHIND]
     assert entered == expected, (name, line)
+
+
+@pytest.mark.parametrize("line", (5, 6))
+def test_refused_entry_leaves_no_drilling_cycle(tmp_path: Path, line: int) -> None:
+    """Entry is refused in the cycle, or after a wrong line in it. The next line only moves."""
+    bench = Bench(tmp_path, LENIENT=True)
+    homed(bench).put("A.NC", "G90", "G0X-9Y-9Z-5", "G81X-8Z-9R-6F300", "X-7", "X-6K1", "X-5")
+    output = bench.run(say(*FAST, *HOMED, f"$F=A.NC@{line}", "X-3Y-3"))
+    assert any(reason in text for text in output for reason in _NO_WAY), output
+    assert bench.moves == [(-3, -3, -5)]

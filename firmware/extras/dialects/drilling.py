@@ -17,6 +17,7 @@ from micropython import const
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+    from typing import Any
 
     from talk.controller import Controller
 
@@ -48,6 +49,8 @@ _GAP_INCH = 0.01
 _MM_PER_INCH = 25.4
 _ABSOLUTE = const(0)  # instead of the number of a hole: G90
 _LEAST_Q = 0.001  # mm or inches
+# Attributes of Drilling that hold for the next line.
+_KEPT = ("cycle", "ends_at_r", "_kept", "_kept_for", "_start_mm", "_motion_before", "_open_before")
 _THINNEST_PECK = 0.0001  # mm or inches: a thinner last one is drilled with the one above it
 
 
@@ -163,6 +166,17 @@ class Drilling:
         """Forget the cycle and G99, as after a reset."""
         self.ends_at_r = False
         self.stop(False)
+
+    @property
+    def kept(self) -> "list[Any]":
+        """All that holds for the next line; may be set, to undo what lines have changed."""
+        return [getattr(self, name) for name in _KEPT] + [self._machine.interpreter.is_open]
+
+    @kept.setter
+    def kept(self, values: "list[Any]") -> None:
+        for name, value in zip(_KEPT, values):
+            setattr(self, name, value)
+        self._machine.interpreter.is_open = values[-1]
 
     def repeats(self, words: "list[Word]") -> bool:
         """Return whether a line with these words repeats the active cycle at a new position: it

@@ -91,6 +91,7 @@ class Lenient:
         machine.interpreter.watch(SET_TOOL)
         cnc.after_reset(self._forget)
         cnc.entries.append(self._why_no_entry)
+        cnc.cycles.append(self._drilling)
 
     def _forget(self) -> None:
         """Forget words reported, tool and cycle, after a reset."""

@@ -119,10 +119,9 @@ class Entry:
         """
         machine = self._machine
         coords, state = machine.coords, machine.state
-        motions = machine.interpreter.motions
-        if start[_MODAL][MOTION] in motions:
+        if start[_MODAL][MOTION] in machine.interpreter.motions:
             raise CannotEnter("a canned cycle is still active where the job begins")
-        cycles = [(motion, motion.kept) for motion in motions.values()]
+        kept = [cycle.kept for cycle in self._cnc.cycles]
         state_before = program_state(machine)
         offsets_before = array("f", coords.offsets)
         for i in range(len(systems)):
@@ -150,8 +149,8 @@ class Entry:
             if state.run == st.CHECK:  # no reset has come
                 state.enter(st.IDLE)
             apply_state(machine, state_before)
-            for motion, numbers in cycles:
-                motion.kept = numbers
+            for cycle, numbers in zip(self._cnc.cycles, kept):
+                cycle.kept = numbers
             machine.resync()
         if machine.reader.has_line():
             raise CannotEnter("the sender sent other lines meanwhile")
