@@ -219,6 +219,7 @@ def test_words_of_fluidnc_do_the_same(tmp_path: Path) -> None:
         # The name may not hold "OK", which a sender could take for an answer.
         ("$FD=BOOK.NC", "[MSG:There is no job BOO-K.NC: $F lists them]"),
         ("$F<=", "[MSG:There is no job : $F lists them]"),
+        ("$FD=", "[MSG:There is no job : $F lists them]"),
         ("$FX=A.NC", ""),
         ("$FA", ""),
         ("$SD/Format=1", ""),
@@ -228,9 +229,12 @@ def test_impossible_request_is_refused_with_the_reason(
     tmp_path: Path, line: str, answer: str
 ) -> None:
     """$F=, $F< and $FD= run, show and delete a job. Unknown commands have no message."""
-    output = Bench(tmp_path).run(say(line, wait_s=0))
+    bench = Bench(tmp_path)
+    bench.put("my photo.jpg", "")  # no job can have this name
+    output = bench.run(say(line, wait_s=0))
     assert output[-1] == "error:3"
     assert output[:-1] == ([answer] if answer else [])
+    assert (bench.folder / "my photo.jpg").exists()
 
 
 # Failures, and other clients during a job

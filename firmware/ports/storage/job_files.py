@@ -137,7 +137,7 @@ class JobFiles:
         """Return a job's file name as it is written, in whatever case, and its bytes; "" and -1 if
         there is none."""
         for file in self._names():
-            if _job_name(file) == name:
+            if name and _job_name(file) == name:  # no job's name is empty
                 file_name = text_of(file)
                 size = self._size(file_name)
                 if size >= 0:  # not a folder
