@@ -50,14 +50,14 @@ def is_grbls(letter: str, tenths: int) -> bool:
     if letter == "G" and number >= block.M_WORDS:
         return False
     # A mask of the decimals that Grbl has for this number, or -1 if it does not have the number.
-    # TENTHS: bit d - 1 stands for decimal d. NEEDED: the number without a decimal is no word.
+    # TENTHS: bit n stands for .n. NEEDED: the number without a decimal is no word.
     # OTHERS: Grbl only calls other decimals "unsupported", so an extra may use them.
     decimals = block.decimals_of(number + block.M_WORDS if letter == "M" else number)
     if decimals < 0:
         return False
     if decimal == 0:
         return not decimals & block.NEEDED
-    has_decimal = bool(decimals & block.TENTHS & (1 << (decimal - 1)))
+    has_decimal = bool(decimals & block.TENTHS & 1 << decimal)
     others_are_free = decimals & block.OTHERS
     return has_decimal or not others_are_free
 

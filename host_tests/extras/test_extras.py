@@ -113,7 +113,8 @@ def test_g_word_may_have_a_decimal(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_words_and_bytes_of_grbl_cannot_be_taken(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Grbl uses M3, G0, G80, G92, byte 0x84 and the letter A; install() has added M100 and G86."""
+    """Grbl uses M3, G0, G38.2, G80, G92, byte 0x84 and the letter A; install() has added M100 and
+    G86. G28.2 is free, because Grbl does not support it."""
 
     def install(cnc: Cnc) -> None:
         """Add M100 and cycle G86; then adding anything in use must fail."""
@@ -123,6 +124,7 @@ def test_words_and_bytes_of_grbl_cannot_be_taken(monkeypatch: pytest.MonkeyPatch
             lambda: cnc.add_m(3, print),
             lambda: cnc.add_m(100, print),
             lambda: cnc.add_g(0, print),
+            *(lambda word=word: cnc.add_g(word, print) for word in (28.1, 38.2, 43.1, 91.1, 92.1)),
             lambda: cnc.add_g(86, print),
             lambda: cnc.add_cycle(86, _bore),
             lambda: cnc.add_cycle(80, _bore),
@@ -132,6 +134,7 @@ def test_words_and_bytes_of_grbl_cannot_be_taken(monkeypatch: pytest.MonkeyPatch
         ):
             with pytest.raises(ValueError, match="is already in use"):
                 add()
+        cnc.add_g(28.2, print)
 
     Bench(monkeypatch, install).say()
 
