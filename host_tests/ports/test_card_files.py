@@ -141,6 +141,13 @@ for called, others in (("part.nc", range(0)), ("PART.NC", range(14))):
         contents = {after_fault(image, fault_at, is_cut) for fault_at in range(blocks)}
         assert contents == {OLD, NEW}, contents
     print(blocks)
+    # A computer has deleted the received file, and not the one that says to copy it.
+    card = Card(bytearray(image))
+    open("/card/PART.NC~WHOLE", "wb").close()
+    files = files_on(card)
+    files.mount()
+    assert content(files, "PART.NC") == OLD
+    card.unmount()
 """
 
 

@@ -95,9 +95,11 @@ class JobFiles:
         Call it only while no file is open."""
         if self._card:
             self._with_store(self._card.mount)
-            for name in self._names():
+            names = self._names()
+            for name in names:
                 job = _job_of(name, _TO_COPY)
-                if job:
+                received = name[: -len(_TO_COPY)] + _RECEIVED.encode()
+                if job and received in names:  # else it was deleted on a computer
                     self._copy(job)
 
     def lose(self) -> bool:
