@@ -94,19 +94,21 @@ class Overrides:
         return self._state.take_event(st.OVERRIDES + byte - st.FIRST_OVERRIDE_BYTE)
 
     def override_spindle(self) -> None:
-        """Apply a changed spindle override. In Idle and Alarm: at once, to a tool that is on. Else
-        to all planned blocks, and once more when motion is held, resumes or ends."""
+        """Apply a changed spindle override. In Idle and Alarm without planned blocks: at once, to
+        a tool that is on. Else to all planned blocks; in other states once more when motion is
+        held, resumes or ends."""
         state, spindle = self._state, self._spindle
         state.invalidate_lines()
-        if state.run in (st.IDLE, st.ALARM):
-            state.update_spindle = False
+        is_at_rest = state.run in (st.IDLE, st.ALARM)
+        state.update_spindle = not is_at_rest
+        if is_at_rest and self._planner.empty():
             if spindle.is_on():
                 spindle.restore(self._modes.modal[SPINDLE], self._modes.rates[RPM])
             return
-        state.update_spindle = True
         reported = state.spindle[st.RPM]  # each_power() changes it
         self._planner.each_power(spindle.block_power)
-        if not state.run & _MOTION:  # until motion resumes, the tool is off or being restored
+        # Until motion resumes, the tool is as it was, off or being restored.
+        if not state.run & _MOTION or state.stop_override & st.STOP_ENABLED:
             state.spindle[st.RPM] = reported
 
     def _accessory_overrides(self) -> None:

@@ -147,8 +147,11 @@ class Suspension:
             state.update_spindle = False
 
     def _stop_spindle(self) -> None:
-        """Stop the spindle, and note whether a laser was on."""
+        """Stop the spindle, and note whether a laser was on. If no block is left, its power is the
+        programmed one: motion has ended since start()."""
         self._lit = self._lit or self._state.spindle[st.RPM] > 0
+        if self._spindle.laser and self._planner.empty():
+            self._rpm = self._modes.rates[RPM] if self._lit else 0.0
         self._spindle.set_speed(0, 0.0)
 
     def _restore_spindle(self) -> None:
@@ -158,7 +161,7 @@ class Suspension:
         if not spindle.laser:
             spindle.set_speed(direction, self._rpm)
         elif self._planner.empty():
-            spindle.restore(direction, self._rpm if self._lit else 0.0)
+            spindle.restore(direction, self._rpm)
         else:
             self._state.update_spindle = True  # power is set when motion resumes
             spindle.enable(direction)

@@ -108,6 +108,40 @@ def test_dark_laser_stays_dark_when_it_is_overridden(change: bytes) -> None:
     assert shown[-1] == ("Idle", 0, 0)
 
 
+@pytest.mark.parametrize("in_hold", [(_UP_10, 50, b"\x9e"), (b"\x9e", 50, _UP_10)])
+def test_dark_laser_stays_dark_when_it_is_overridden_and_restored_in_a_hold(
+    in_hold: "tuple[Step, ...]",
+) -> None:
+    """G0 has switched it off. 0x9e toggles what the hold has stopped."""
+    steps = ("M3S500", "G0X1", 500, b"!", 50, *in_hold, 50, b"~", 50)
+    shown = Tool(laser=1).play(*steps)
+    assert all(each.power == 0 for each in shown[2:]) and shown[-1] == ("Idle", 0, 0)
+
+
+@pytest.mark.parametrize("door_ms", range(360, 480, 10))
+def test_laser_has_its_last_power_after_a_door_at_the_end_of_motion(door_ms: int) -> None:
+    """The door opens in a block at S1000. Motion ends, at S100, while it slows down."""
+    moves = ("G1F3000", "M3S0", "X20S1000", "X22S100")
+    shown = Tool(laser=1).play(*moves, door_ms, b"\x84", 1500, b"~", 1500)
+    assert shown[-1] == ("Idle", 100, 26)  # 26 of 255 for 100 of 1000 rpm
+
+
+@pytest.mark.parametrize("laser", [0, 1])
+def test_override_reaches_blocks_that_are_planned_and_not_started(laser: int) -> None:
+    lines = b"X2\nX3\n" + _DOWN_10 * 5 + b"X4\n"
+    shown = Tool(laser).play("M3S1000", "G1F1200", "X1", 500, lines, 60)
+    assert shown[-1] == ("Run", 500, 128)
+
+
+@pytest.mark.parametrize(("laser", "stop"), [(1, b""), (0, b"\x9e")])
+def test_stopped_tool_has_no_speed_when_it_is_overridden_in_a_hold(
+    laser: int, stop: bytes
+) -> None:
+    """A hold stops a laser; 0x9e stops a spindle in a hold."""
+    shown = Tool(laser).play(*_MOVES, 200, b"!", 500, stop, 50, _UP_10, 50)
+    assert shown[-1] == ("Hold:0", 0, 0)
+
+
 @pytest.mark.parametrize("moves", [("G1X10",), ()], ids=["motion ahead", "at rest"])
 @pytest.mark.parametrize("gap_us", range(0, 2000, 200))
 def test_held_laser_is_dark_after_a_start_that_a_hold_prevents(
