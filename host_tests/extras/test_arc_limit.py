@@ -21,7 +21,7 @@ _SETTINGS = {
 }
 
 
-def highest(line: str, limited: bool, settings: "dict[int, float] | None" = None) -> float:
+def highest_speed(line: str, limited: bool, settings: "dict[int, float] | None" = None) -> float:
     """Return the highest speed, in mm/s, at which a machine executes the line.
 
     limited: the board's ARC_ACCELERATION. settings: values by $-number, added to _SETTINGS.
@@ -39,14 +39,16 @@ def highest(line: str, limited: bool, settings: "dict[int, float] | None" = None
 def test_arc_keeps_the_acceleration_of_its_axes(radius: float, words: str) -> None:
     half_circle = f"{words}X{2 * radius}I{radius}F9000"
     allowed = (200 * radius) ** 0.5  # v**2 / r = 200 mm/s2, the acceleration of X ($120)
-    assert highest(half_circle, limited=False) > 1.4 * allowed
-    assert highest(half_circle, limited=True) == pytest.approx(allowed, rel=0.02)
+    assert highest_speed(half_circle, limited=False) > 1.4 * allowed
+    assert highest_speed(half_circle, limited=True) == pytest.approx(allowed, rel=0.02)
 
 
 def test_weaker_axis_of_the_plane_limits_the_arc() -> None:
-    assert highest("G19G2Y8J4F9000", True, {122: 50.0}) == pytest.approx(200**0.5, rel=0.02)
+    assert highest_speed("G19G2Y8J4F9000", limited=True, settings={122: 50.0}) == pytest.approx(
+        200**0.5, rel=0.02
+    )
 
 
 @pytest.mark.parametrize("line", ["G2X8I4F600", "G1X30F3000", "G0X30"])
 def test_slow_or_straight_lines_are_unchanged(line: str) -> None:
-    assert highest(line, True) == highest(line, False)
+    assert highest_speed(line, limited=True) == highest_speed(line, limited=False)

@@ -21,7 +21,7 @@ from ugrbl.sim.engine import Switch, step_tick
 pytestmark = pytest.mark.sampled(2)
 
 _PER_MM = 250  # steps
-_SLACK = (25, 10, 40)  # steps
+_SLACK_STEPS = (25, 10, 40)  # steps
 _TICK_HZ = 13_107_200  # of the simulated step engine
 _SETTINGS = {
     1: 0,
@@ -29,23 +29,23 @@ _SETTINGS = {
     25: 3000,
     26: 5,
     27: 1,
-    **{160 + i: steps / _PER_MM for i, steps in enumerate(_SLACK)},
+    **{160 + i: steps / _PER_MM for i, steps in enumerate(_SLACK_STEPS)},
     **{number + i: value for number, value in ((110, 6000), (120, 1000)) for i in range(3)},
 }
 
 
 def board(**options: Any) -> ModuleType:
     """Return the board sim_backlash with other options."""
-    made = ModuleType("board")
-    made.__dict__.update({**vars(load_board("sim_backlash")), **options})
-    return made
+    module = ModuleType("board")
+    module.__dict__.update({**vars(load_board("sim_backlash")), **options})
+    return module
 
 
-def machine(settings: "dict[int, float] | None" = None, **options: Any) -> Machine:
+def make_machine(settings: "dict[int, float] | None" = None, **options: Any) -> Machine:
     """Return that machine with a model of its table (see Table)."""
-    made = Machine({**_SETTINGS, **(settings or {})}, board(**options), watched=False)
-    made.table = Table(made)  # type: ignore[attr-defined]
-    return made
+    machine = Machine({**_SETTINGS, **(settings or {})}, board(**options), watched=False)
+    machine.table = Table(machine)  # type: ignore[attr-defined]
+    return machine
 
 
 class Table:
@@ -55,20 +55,20 @@ class Table:
     and of the table, in steps; places: the table's positions so far; slack: steps per axis.
     """
 
-    def __init__(self, made: Machine, slack: Sequence[int] = _SLACK) -> None:
+    def __init__(self, machine: Machine, slack: Sequence[int] = _SLACK_STEPS) -> None:
         """Follow the steps of this machine: the engine calls trace() for each row of steps."""
         self.slack = slack
         self.motors = [0, 0, 0]
         self.at = [0, 0, 0]
         self.places = [(0, 0, 0)]
-        machine_trace: Any = made.rig.engine.trace
+        machine_trace: Any = machine.rig.engine.trace
 
         def trace(start: int, row: Any) -> None:
             """Move the table by each row of steps, which the machine also records."""
             machine_trace(start, row)
             self._move(row)
 
-        made.rig.engine.trace = trace
+        machine.rig.engine.trace = trace
 
     def _move(self, row: Any) -> None:
         """Move motors and table by a row: number of steps of each axis, and a direction bit."""
@@ -82,12 +82,12 @@ class Table:
         self.places.append((self.at[0], self.at[1], self.at[2]))
 
 
-def table(made: Machine) -> "list[float]":
+def table_mm(machine: Machine) -> "list[float]":
     """Return the table's position in mm."""
-    return [n / _PER_MM for n in made.table.at]  # type: ignore[attr-defined]
+    return [n / _PER_MM for n in machine.table.at]  # type: ignore[attr-defined]
 
 
-def played(
+def machine_after(
     lines: Sequence[str],
     settings: "dict[int, float] | None" = None,
     events: "Sequence[tuple[int, str]]" = (),
@@ -97,28 +97,28 @@ def played(
 
     settings: by $-number; events: (ms, real-time byte); options: of the board file.
     """
-    made = machine(settings, **options)
-    made.play(lines, events)
-    return made
+    machine = make_machine(settings, **options)
+    machine.play(lines, events)
+    return machine
 
 
 # First all axes move up, so that their side of the slack, and the table's position, are known.
 _UP = "G0X1Y1Z1"  # from 0, mm
 
 
-def reported(made: Machine) -> "list[list[float]]":
+def reported_positions(machine: Machine) -> "list[list[float]]":
     """Return MPos of each status report."""
-    found = [line.split("MPos:")[1].split("|")[0] for line in made.received if "MPos:" in line]
-    return [[float(n) for n in text.split(",")] for text in found]
+    texts = [line.split("MPos:")[1].split("|")[0] for line in machine.received if "MPos:" in line]
+    return [[float(n) for n in text.split(",")] for text in texts]
 
 
 def test_table_reaches_the_target_from_either_side() -> None:
     """The table model is where the reports say, with the last direction up or down."""
     for end in ("X0.5", "X2", "X0.5Y0.2", "X0.5Y3Z-1", "X-3Y-3Z-3"):
-        made = played([_UP, f"G1{end}F600"])
-        assert table(made) == made.reported(), end
-        made = played([_UP, "G1X-2Y-2Z-2F600", "X-1Y-1Z-1", f"G1{end}F600"])
-        assert table(made) == made.reported(), end
+        machine = machine_after([_UP, f"G1{end}F600"])
+        assert table_mm(machine) == machine.reported(), end
+        machine = machine_after([_UP, "G1X-2Y-2Z-2F600", "X-1Y-1Z-1", f"G1{end}F600"])
+        assert table_mm(machine) == machine.reported(), end
 
 
 def test_motors_differ_from_the_target_by_the_slack_of_the_last_direction() -> None:
@@ -136,18 +136,20 @@ def test_motors_differ_from_the_target_by_the_slack_of_the_last_direction() -> N
                 at[i] = to
                 word += f"{'XYZ'[i]}{to}"
         lines.append(word + "F3000")
-    made = played(lines)
+    machine = machine_after(lines)
     commanded = [round(mm * _PER_MM) for mm in at]
-    slack_steps = [0 if sign > 0 else -slack for sign, slack in zip(last, _SLACK, strict=True)]
-    assert made.physical() == [n + m for n, m in zip(commanded, slack_steps, strict=True)]
-    assert table(made) == pytest.approx(at, abs=0.003)
-    assert made.reported() == pytest.approx(table(made), abs=0.0005)
+    slack_steps = [
+        0 if sign > 0 else -slack for sign, slack in zip(last, _SLACK_STEPS, strict=True)
+    ]
+    assert machine.physical() == [n + m for n, m in zip(commanded, slack_steps, strict=True)]
+    assert table_mm(machine) == pytest.approx(at, abs=0.003)
+    assert machine.reported() == pytest.approx(table_mm(machine), abs=0.0005)
 
 
 def test_zero_backlash_moves_step_for_step_like_a_machine_without_the_module() -> None:
     lines = [_UP, "G1X-2Y3F900", "G2X0Y0I3J-1", "G1Z-3", "$J=G91X3F900", "G0X0"]
     off = dict.fromkeys((160, 161, 162), 0.0)  # $160 to $162: backlash of X, Y, Z in mm
-    rows = played(lines, off).rows
+    rows = machine_after(lines, off).rows
     plain = Machine({k: v for k, v in _SETTINGS.items() if k not in off}, "sim", watched=False)
     plain.play(lines)
     assert [(start, list(row)) for start, row in rows] == [
@@ -158,10 +160,10 @@ def test_zero_backlash_moves_step_for_step_like_a_machine_without_the_module() -
 def test_arc_stops_for_the_slack_where_an_axis_reverses() -> None:
     """Without stops for the slack, the table would leave the circle after each quadrant."""
     # Two full circles about X5 Y5 with a radius of 5 mm.
-    made = played([_UP, "G1X10Y5F1500", "G2X10Y5I-5J0", "G3X10Y5I-5J0"])
-    assert made.reported() == [10, 5, 1]
-    assert table(made) == [10, 5, 1]
-    places = [place for place in made.table.places if place[1] != _PER_MM]  # type: ignore[attr-defined]
+    machine = machine_after([_UP, "G1X10Y5F1500", "G2X10Y5I-5J0", "G3X10Y5I-5J0"])
+    assert machine.reported() == [10, 5, 1]
+    assert table_mm(machine) == [10, 5, 1]
+    places = [place for place in machine.table.places if place[1] != _PER_MM]  # type: ignore[attr-defined]
     off_circle_mm = [
         abs(((x / _PER_MM - 5) ** 2 + (y / _PER_MM - 5) ** 2) ** 0.5 - 5) for x, y, _ in places
     ]
@@ -174,9 +176,9 @@ def test_arc_stops_for_the_slack_where_an_axis_reverses() -> None:
 def test_slack_is_taken_up_alone_within_rate_and_acceleration() -> None:
     """The first steps down move X through its 2 mm of slack, from standstill to standstill."""
     # Slack 2 mm, rate 900 mm/min (15 mm/s), acceleration 100 mm/s2.
-    made = played([_UP, "G1X-5F3000"], {160: 2.0, 110: 900, 120: 100})
+    machine = machine_after([_UP, "G1X-5F3000"], {160: 2.0, 110: 900, 120: 100})
     steps = []  # of X: tick, direction
-    for start, row in made.rows:
+    for start, row in machine.rows:
         sign = -1 if row[ROW_DIRS] & 1 else 1
         steps += [(start + step_tick(row, ROW_AXES, k), sign) for k in range(row[ROW_AXES])]
     down_s = [tick / _TICK_HZ for tick, sign in steps if sign < 0]
@@ -198,80 +200,81 @@ def test_position_stays_right_after_any_interruption_of_the_slack(byte: str) -> 
     """
     settings = {162: 2.0, 122: 50}
     for ms in range(0, 900, 37):
-        made = machine(settings)
-        made.table.slack = (*_SLACK[:2], 2 * _PER_MM)  # type: ignore[attr-defined]
+        machine = make_machine(settings)
+        machine.table.slack = (*_SLACK_STEPS[:2], 2 * _PER_MM)  # type: ignore[attr-defined]
 
-        def script(made: Machine = made, ms: int = ms) -> Iterator[Any]:
+        def script(machine: Machine = machine, ms: int = ms) -> Iterator[Any]:
             """Send the byte `ms` after the start of the move; come to a stop, through a hold."""
-            yield from made.start()
-            yield from made.sender.wait("idle", f"{_UP}\n", settle=1)
-            made.take()  # empties the list of replies
-            made.rig.link.send(b"G1Z-1F1500\n")
-            yield made.rig.ms(ms)
-            made.rig.link.send(byte.encode("latin-1"))
-            yield made.rig.ms(300)  # a hold has stopped the motors
-            made.rig.link.send(b"?")
-            yield made.rig.ms(20)
-            yield from made.rest()  # resumes a hold
+            yield from machine.start()
+            yield from machine.sender.wait("idle", f"{_UP}\n", settle=1)
+            machine.take()  # empties the list of replies
+            machine.rig.link.send(b"G1Z-1F1500\n")
+            yield machine.rig.ms(ms)
+            machine.rig.link.send(byte.encode("latin-1"))
+            yield machine.rig.ms(300)  # a hold has stopped the motors
+            machine.rig.link.send(b"?")
+            yield machine.rig.ms(20)
+            yield from machine.rest()  # resumes a hold
 
-        made.run(script())
-        assert table(made) == pytest.approx(made.reported(), abs=0.0005), ms
-        for x, y, z in reported(made):  # none includes motor steps in the slack
+        machine.run(script())
+        assert table_mm(machine) == pytest.approx(machine.reported(), abs=0.0005), ms
+        for x, y, z in reported_positions(machine):  # none includes motor steps in the slack
             assert [x, y] in ([0, 0], [1, 1]) or z <= 1, ms
             assert -1 <= z <= 1, ms
         if byte != "\x18":  # all except a reset: the move was completed
-            assert made.reported() == [1, 1, -1], ms
+            assert machine.reported() == [1, 1, -1], ms
 
 
 @pytest.mark.thorough
 def test_rest_of_the_slack_is_taken_up_after_a_reset_in_the_middle() -> None:
     """A reset within 2 mm of slack; then lines in both directions: table and report agree."""
     for ms in range(20, 900, 79):
-        made = machine({162: 2.0, 122: 50})
-        made.table.slack = (*_SLACK[:2], 2 * _PER_MM)  # type: ignore[attr-defined]
+        machine = make_machine({162: 2.0, 122: 50})
+        machine.table.slack = (*_SLACK_STEPS[:2], 2 * _PER_MM)  # type: ignore[attr-defined]
 
-        def script(made: Machine = made, ms: int = ms) -> Iterator[Any]:
+        def script(machine: Machine = machine, ms: int = ms) -> Iterator[Any]:
             """Reset `ms` after the start of the move; unlock, and move Z up and down."""
-            yield from made.start()
-            yield from made.sender.wait("idle", f"{_UP}\n", settle=1)
-            made.take()  # empties the list of replies
-            made.rig.link.send(b"G1Z-1F1500\n")
-            yield made.rig.ms(ms)
-            made.rig.link.send(b"\x18")
-            yield from made.rest()
-            made.take()
+            yield from machine.start()
+            yield from machine.sender.wait("idle", f"{_UP}\n", settle=1)
+            machine.take()  # empties the list of replies
+            machine.rig.link.send(b"G1Z-1F1500\n")
+            yield machine.rig.ms(ms)
+            machine.rig.link.send(b"\x18")
+            yield from machine.rest()
+            machine.take()
             for line in ("$X", "G1Z-2F1500", "Z3", "Z-0.5", "Z2"):
-                yield from made.sender.wait("idle", line + "\n", settle=1)
-                made.take()
-                yield from made.rest()
-                assert table(made) == pytest.approx(made.reported(), abs=0.0005), (ms, line)
+                yield from machine.sender.wait("idle", line + "\n", settle=1)
+                machine.take()
+                yield from machine.rest()
+                reported_mm = machine.reported()
+                assert table_mm(machine) == pytest.approx(reported_mm, abs=0.0005), (ms, line)
 
-        made.run(script())
+        machine.run(script())
 
 
 def test_jog_cancelled_in_the_slack_moves_the_table_no_further() -> None:
     """Jog cancel (0x85) at each time of a jog down, which begins with 2 mm of slack."""
     for ms in range(30, 800, 59):
-        made = machine({162: 2.0, 122: 50})
-        made.table.slack = (*_SLACK[:2], 2 * _PER_MM)  # type: ignore[attr-defined]
+        machine = make_machine({162: 2.0, 122: 50})
+        machine.table.slack = (*_SLACK_STEPS[:2], 2 * _PER_MM)  # type: ignore[attr-defined]
 
-        def script(made: Machine = made, ms: int = ms) -> Iterator[Any]:
+        def script(machine: Machine = machine, ms: int = ms) -> Iterator[Any]:
             """Cancel the jog `ms` after its start; then move to Z0."""
-            yield from made.start()
-            yield from made.sender.wait("idle", f"{_UP}\n", settle=1)
-            made.take()  # empties the list of replies
-            made.rig.link.send(b"$J=G91Z-30F900\n")
-            yield made.rig.ms(ms)
-            made.rig.link.send(b"\x85")
-            yield from made.rest()
-            assert table(made) == pytest.approx(made.reported(), abs=0.0005), ms
-            assert made.reported()[2] > -12  # it was cancelled: 15 mm/s in < 0.8 s
-            made.take()
-            yield from made.sender.wait("idle", "G0Z0\n", settle=1)
-            yield from made.rest()
-            assert table(made) == pytest.approx([1, 1, 0])
+            yield from machine.start()
+            yield from machine.sender.wait("idle", f"{_UP}\n", settle=1)
+            machine.take()  # empties the list of replies
+            machine.rig.link.send(b"$J=G91Z-30F900\n")
+            yield machine.rig.ms(ms)
+            machine.rig.link.send(b"\x85")
+            yield from machine.rest()
+            assert table_mm(machine) == pytest.approx(machine.reported(), abs=0.0005), ms
+            assert machine.reported()[2] > -12  # it was cancelled: 15 mm/s in < 0.8 s
+            machine.take()
+            yield from machine.sender.wait("idle", "G0Z0\n", settle=1)
+            yield from machine.rest()
+            assert table_mm(machine) == pytest.approx([1, 1, 0])
 
-        made.run(script())
+        machine.run(script())
 
 
 @pytest.mark.parametrize("inverted", [0, 7])
@@ -280,59 +283,64 @@ def test_slack_after_homing_is_on_the_side_of_the_pull_off(inverted: int) -> Non
 
     inverted: $23, axes that home in negative direction.
     """
-    made = machine({22: 1, 23: inverted})
+    machine = make_machine({22: 1, 23: inverted})
     above = not inverted
     for i, letter in enumerate("xyz"):
         at = 700 if above else -700  # steps
-        made.rig.engine.switches.append(Switch(f"limit_{letter}", i, above, at))
+        machine.rig.engine.switches.append(Switch(f"limit_{letter}", i, above, at))
     origins: list[list[float]] = []  # table less report after each line, mm
 
     def script() -> Iterator[Any]:
         """Home and move in both directions; compare table and report after each line."""
-        yield from made.start()
+        yield from machine.start()
         for line in ("$H", "G53G0X-3Y-3Z-3", "G53G0X-2Y-2Z-2", "G53G1X-4Y-4Z-4F900"):
-            yield from made.sender.wait("idle", line + "\n", settle=1)
-            made.take()
-            yield from made.rest()
-            pairs = zip(table(made), made.reported(), strict=True)
+            yield from machine.sender.wait("idle", line + "\n", settle=1)
+            machine.take()
+            yield from machine.rest()
+            pairs = zip(table_mm(machine), machine.reported(), strict=True)
             origins.append([at - reported_mm for at, reported_mm in pairs])
 
-    made.run(script())
-    assert made.reported() == [-4, -4, -4]
+    machine.run(script())
+    assert machine.reported() == [-4, -4, -4]
     for origin in origins[1:]:
         assert origin == pytest.approx(origins[0], abs=0.0025)
 
 
 def test_probe_reports_the_tables_position_and_stays_right_after_a_reversal() -> None:
     """The probe closes at Z-2 of the table. No later reversal changes the stored position."""
-    made = machine()
+    machine = make_machine()
 
     def update_probe() -> None:
-        made.rig.port.push({"probe": made.table.at[2] <= -2 * _PER_MM})  # type: ignore[attr-defined]
+        machine.rig.port.push({"probe": machine.table.at[2] <= -2 * _PER_MM})  # type: ignore[attr-defined]
 
-    machine_trace: Any = made.rig.engine.trace  # called for each row of steps
+    machine_trace: Any = machine.rig.engine.trace  # called for each row of steps
 
     def trace(start: int, row: Any) -> None:
         machine_trace(start, row)
         update_probe()
 
-    made.rig.engine.trace = trace
-    made.play([_UP, "G38.2Z-10F100", "$#", "G1Z0F900", "$#", "G1Z-1", "$#"])
-    reports = [line for line in made.received if line.startswith("[PRB:")]
+    machine.rig.engine.trace = trace
+    machine.play([_UP, "G38.2Z-10F100", "$#", "G1Z0F900", "$#", "G1Z-1", "$#"])
+    reports = [line for line in machine.received if line.startswith("[PRB:")]
     assert len(set(reports)) == 1 and len(reports) == 4  # one of G38.2, three of $#
     z_mm = float(reports[0][5:].split(":")[0].split(",")[2])  # of [PRB:x,y,z:1]
     assert z_mm == pytest.approx(-2, abs=0.05)
-    assert table(made) == pytest.approx([1, 1, -1])
+    assert table_mm(machine) == pytest.approx([1, 1, -1])
 
 
 def test_laser_is_dark_in_the_slack_and_a_spindle_stays_on() -> None:
     for laser, stays_on in ((1, False), (0, True)):
-        made = machine({32: laser, 30: 1000, 160: 0.4})  # laser mode, largest S, backlash of X
+        # laser mode, largest S, backlash of X
+        machine = make_machine({32: laser, 30: 1000, 160: 0.4})
         powers: list[int] = []  # PWM at each row of steps within the slack
-        machine_trace: Any = made.rig.engine.trace
+        machine_trace: Any = machine.rig.engine.trace
 
         def trace(
-            start: int, row: Any, before: Any = machine_trace, powers: Any = powers, m: Any = made
+            start: int,
+            row: Any,
+            before: Any = machine_trace,
+            powers: Any = powers,
+            m: Any = machine,
         ) -> None:
             """Record the power of each row of steps within the slack."""
             before(start, row)
@@ -340,40 +348,42 @@ def test_laser_is_dark_in_the_slack_and_a_spindle_stays_on() -> None:
             if m.rig.controller.planner.kinematics.standing:
                 powers.append(m.rig.port.spindle_pwm)
 
-        made.rig.engine.trace = trace
-        made.play(["M3S800", _UP, "G1X2F900", "G1X-2F900"])
+        machine.rig.engine.trace = trace
+        machine.play(["M3S800", _UP, "G1X2F900", "G1X-2F900"])
         # The first and last row may also have steps of the moves around the slack.
         assert powers and all(bool(power) == stays_on for power in powers[1:-1]), (laser, powers)
 
 
 def test_second_motors_take_up_the_slack() -> None:
-    made = Machine({**_SETTINGS}, board(STEP=(0, 1, 2, 3), MOTORS="XYZY"), watched=False)
-    made.play(["G0X1Y1Z1", "G1Y0F900"])
-    assert made.physical() == [250, -10, 250, -10]
-    assert made.reported() == [1, 0, 1]
+    machine = Machine({**_SETTINGS}, board(STEP=(0, 1, 2, 3), MOTORS="XYZY"), watched=False)
+    machine.play(["G0X1Y1Z1", "G1Y0F900"])
+    assert machine.physical() == [250, -10, 250, -10]
+    assert machine.reported() == [1, 0, 1]
 
 
 def test_soft_limits_and_check_mode_act_before_the_slack() -> None:
     """A refused or only checked line moves no motor, also not through the slack."""
     # Soft limits, homing, 50 mm of travel: X is allowed from -50 to 0. The reset after 4 s ends
     # the alarm, which answers no more lines.
-    made = played(["$X", "G0X-1", "G4P0.1", "G0X0.5"], {20: 1, 22: 1, 130: 50}, [(4000, "\x18")])
-    assert "ALARM:2" in made.received
-    assert made.physical()[0] == -250  # still at X-1
-    made = played([_UP, "G4P0.5", "$C", "G1X0F900", "$C"])
-    assert made.physical() == [250, 250, 250]
+    machine = machine_after(
+        ["$X", "G0X-1", "G4P0.1", "G0X0.5"], {20: 1, 22: 1, 130: 50}, [(4000, "\x18")]
+    )
+    assert "ALARM:2" in machine.received
+    assert machine.physical()[0] == -250  # still at X-1
+    machine = machine_after([_UP, "G4P0.5", "$C", "G1X0F900", "$C"])
+    assert machine.physical() == [250, 250, 250]
 
 
 def test_settings_are_listed_and_bounded() -> None:
-    made = played(["$161=0.05", "$160=6", "$$", "$I"])
-    assert "error:3" in made.received
-    assert "$161=0.050" in made.received and "$160=0.100" in made.received
+    machine = machine_after(["$161=0.05", "$160=6", "$$", "$I"])
+    assert "error:3" in machine.received
+    assert "$161=0.050" in machine.received and "$160=0.100" in machine.received
 
 
 @pytest.mark.parametrize("word", ["COREXY", "JERK", "PARKING", "CLUSTERS"])
 def test_conflicting_option_is_refused_with_the_reason(word: str) -> None:
     with pytest.raises(ValueError, match=f"BACKLASH and {word} are not for the same machine"):
-        machine(**{word: True}).play([])
+        make_machine(**{word: True}).play([])
 
 
 def test_run_reports_axes_and_counts_motor_steps(tmp_path: Path) -> None:
@@ -390,7 +400,7 @@ def test_run_reports_axes_and_counts_motor_steps(tmp_path: Path) -> None:
 def test_board_without_backlash_has_none_of_the_modules() -> None:
     modules = build.modules_of(load_board("rpi_pico"))
     assert not {"extras.motors.backlash", "motion.kinematics"} & set(modules)
-    made = ModuleType("board")
-    vars(made).update({**vars(load_board("rpi_pico")), "BACKLASH": True})
-    assert list(board_check.problems(made)) == []
-    assert {"extras.motors.backlash", "motion.kinematics"} <= set(build.modules_of(made))
+    module = ModuleType("board")
+    vars(module).update({**vars(load_board("rpi_pico")), "BACKLASH": True})
+    assert list(board_check.problems(module)) == []
+    assert {"extras.motors.backlash", "motion.kinematics"} <= set(build.modules_of(module))

@@ -28,54 +28,54 @@ def blocks(kind: str, name: str = "") -> "list[str]":
     return [text for k, n, text in _BLOCK.findall(_PAGE) if (k, n) == (kind, name)]
 
 
-def shop(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, text: str) -> Shop:
+def cnc_with(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, text: str) -> Shop:
     """Return a machine with this custom.py, and the pins that the page names."""
     pins: dict[str, Any] = {}
     exec(blocks("python", "board")[0], pins)
-    made = Shop(monkeypatch, "custom", OUTPUTS=pins["OUTPUTS"], INPUTS=pins["INPUTS"])
+    cnc = Shop(monkeypatch, "custom", OUTPUTS=pins["OUTPUTS"], INPUTS=pins["INPUTS"])
     (tmp_path / "custom.py").write_text(text, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
-    return made
+    return cnc
 
 
 @pytest.mark.parametrize("text", blocks("python", "custom.py"), ids=("first", "saved"))
 def test_code_of_the_page_is_accepted(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, text: str
 ) -> None:
-    made = shop(monkeypatch, tmp_path, text)
-    made.say("$I")
-    assert any(line.startswith("Custom: ") for line in made.messages), made.messages
+    cnc = cnc_with(monkeypatch, tmp_path, text)
+    cnc.say("$I")
+    assert any(line.startswith("Custom: ") for line in cnc.messages), cnc.messages
 
 
 def test_first_word_does_what_the_page_says(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """The page's first custom.py (M100 P1/P0 switches the vacuum) runs the page's G-code."""
-    made = shop(monkeypatch, tmp_path, blocks("python", "custom.py")[0])
+    cnc = cnc_with(monkeypatch, tmp_path, blocks("python", "custom.py")[0])
     lines = blocks("gcode")[0].splitlines()
     # The page says that P must be 0 or 1 (error 3), and is required (error 28).
-    assert made.say(*lines, "M100 P3", "M100") == ["ok"] * len(lines) + ["error:3", "error:28"]
+    assert cnc.say(*lines, "M100 P3", "M100") == ["ok"] * len(lines) + ["error:3", "error:28"]
     # The record of outputs: name, level, and X in mm where it changed.
-    assert [(name, on, place[0]) for name, on, place in made.book] == [
+    assert [(name, on, place[0]) for name, on, place in cnc.output_changes] == [
         ("vacuum", True, 0),
         ("vacuum", False, 50),
     ]
-    assert made.messages == ["M100: P1 is on, P0 is off"]
+    assert cnc.messages == ["M100: P1 is on, P0 is off"]
 
 
 def test_tool_change_of_the_page_works(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """T3 M6 moves to the change position in mm, also with G20, and asks for the tool."""
-    made = shop(monkeypatch, tmp_path, blocks("python", "custom.py")[1])
+    cnc = cnc_with(monkeypatch, tmp_path, blocks("python", "custom.py")[1])
 
     def script() -> Any:
-        yield from made.send("G20")
-        yield from made.start("T3 M6")  # waits for the hold
-        assert made.place() == (3, 139, -1)  # mm
-        yield from made.start("~", "Idle")  # cycle start; waits for idle
+        yield from cnc.send("G20")
+        yield from cnc.start("T3 M6")  # waits for the hold
+        assert cnc.position_mm() == (3, 139, -1)  # mm
+        yield from cnc.start("~", "Idle")  # cycle start; waits for idle
 
-    made.run(script())
-    assert made.messages == ["Put in tool 3, then cycle start"] and made.answers == ["ok"] * 2
+    cnc.run(script())
+    assert cnc.messages == ["Put in tool 3, then cycle start"] and cnc.answers == ["ok"] * 2
 
 
 def test_failure_is_reported_as_the_page_quotes_it(
@@ -84,11 +84,11 @@ def test_failure_is_reported_as_the_page_quotes_it(
     """Line 7 of this custom.py fails, after a move that is completed."""
     head = "from ugrbl import mcode\n\n\n@mcode(100)\ndef fail(m):\n"
     text = head + "    m.g('G1 X1 F1000')\n    1 / 0\n"
-    made = shop(monkeypatch, tmp_path, text)
-    made.say("M100")
+    cnc = cnc_with(monkeypatch, tmp_path, text)
+    cnc.say("M100")
     assert "[MSG:M100: custom.py, line 7, in fail: …]" in _PAGE
-    assert made.messages[0].startswith("M100: custom.py, line 7, in fail: ZeroDivision")
-    assert "ALARM:34" in made.answers and made.place()[0] == 1
+    assert cnc.messages[0].startswith("M100: custom.py, line 7, in fail: ZeroDivision")
+    assert "ALARM:34" in cnc.answers and cnc.position_mm()[0] == 1
 
 
 def test_page_lists_every_event_and_if_it_may_move() -> None:
@@ -142,13 +142,13 @@ def test_failure_during_motion_stops_within_a_line(
     """Thirty lines of 100 mm fill the planner: the main loop waits within a line for space. A
     failing handler must stop the motion there too, not only between lines."""
     text = "from ugrbl import on\n\n\n@on.input('part')\ndef fail(m, closed):\n    1 / 0\n"
-    made = shop(monkeypatch, tmp_path, text)
+    cnc = cnc_with(monkeypatch, tmp_path, text)
 
     def script() -> Any:
-        yield from made.send("G1 X200 F1000\n" + "Y100\nY0\n" * 15, "ms 1000")
-        made.close("part")  # the input whose handler fails
-        yield from made.until("Alarm")
+        yield from cnc.send("G1 X200 F1000\n" + "Y100\nY0\n" * 15, "ms 1000")
+        cnc.close("part")  # the input whose handler fails
+        yield from cnc.until("Alarm")
 
-    made.run(script())
+    cnc.run(script())
     # After 1 s at 1000 mm/min (16.7 mm) and the way to stop.
-    assert "ALARM:34" in made.answers and made.place()[0] < 19
+    assert "ALARM:34" in cnc.answers and cnc.position_mm()[0] < 19

@@ -36,7 +36,7 @@ class Solid(Switch):
         self._touched = touched
 
     def closed(self, steps: int) -> bool:
-        return self._touched(*self._shop.place()[:3])
+        return self._touched(*self._shop.position_mm()[:3])
 
     def crossing(self, start: int, end: int) -> int:
         return 0  # it is checked every 10 ms
@@ -60,7 +60,7 @@ class Shop:
         self.board = ModuleType("board")
         vars(self.board).update(vars(plain), CUSTOM=name, **options)
         self.outputs = list(getattr(self.board, "OUTPUTS", {}))
-        self.book: "list[tuple[Any, ...]]" = []  # of outputs: name, level, place in mm
+        self.output_changes: "list[tuple[Any, ...]]" = []  # of outputs: name, level, place in mm
         self.messages: "list[str]" = []
         self.answers: "list[str]" = []  # all of them
         self.power_up(factory_store(plain))
@@ -81,7 +81,7 @@ class Shop:
             drive(levels)
             for bit, name in enumerate(self.outputs):
                 if (was ^ self.rig.port.own_outputs) >> bit & 1:
-                    self.book.append((name, bool(levels >> bit & 1), self.place()))
+                    self.output_changes.append((name, bool(levels >> bit & 1), self.position_mm()))
 
         return driven
 
@@ -89,7 +89,7 @@ class Shop:
         """Return whether the output is on."""
         return bool(self.rig.port.own_outputs >> self.outputs.index(name) & 1)
 
-    def place(self) -> "tuple[float, ...]":
+    def position_mm(self) -> "tuple[float, ...]":
         """Return the motors' position, mm."""
         self.rig.engine.physical(self.rig.scratch)
         return tuple(round(steps / _STEPS, 3) for steps in self.rig.scratch)
@@ -100,9 +100,9 @@ class Shop:
 
     def switch(self, axis: int, above: bool, mm: float) -> Switch:
         """Let the probe touch above (or below) a place of an axis; 0 is X."""
-        made = Switch("probe", axis, above, round(mm * _STEPS))
-        self.rig.engine.switches.append(made)
-        return made
+        contact = Switch("probe", axis, above, round(mm * _STEPS))
+        self.rig.engine.switches.append(contact)
+        return contact
 
     def run(self, script: "Iterator[Any]") -> None:
         """Run a script after the welcome."""
@@ -128,14 +128,14 @@ class Shop:
         how: "ok" adds a line end and waits for the answer; "ms 500" waits only for 500 ms.
         """
         yield from self.sender.wait(how, text if how != "ok" else text + "\n")
-        return self.heard()
+        return self.take_replies()
 
     def start(self, line: str, how: str = "Hold") -> "Iterator[Any]":
         """Send a line and wait for a state, but not for the answer."""
         yield from self.send(line if line == "~" else line + "\n", "ms 10")
         yield from self.until(how)
 
-    def heard(self) -> "list[str]":
+    def take_replies(self) -> "list[str]":
         """Return the lines received since the last call; store messages, answers and alarms."""
         received = self.sender.take()
         self.messages += [line[5:-1] for line in received if line.startswith("[MSG:")]
@@ -155,19 +155,19 @@ class Shop:
                 since = self.rig.now
             assert self.rig.now < self.sender.deadline, self.state()
             yield self.rig.ms(10)
-        self.heard()
+        self.take_replies()
 
-    def answered(self, count: int) -> "Iterator[Any]":
+    def wait_for_answers(self, count: int) -> "Iterator[Any]":
         """Wait for this number of answers."""
         while len(self.answers) < count:
             yield self.rig.ms(20)
-            self.heard()
+            self.take_replies()
 
     def reports(self) -> "Iterator[Any]":
         replies = yield from self.send("?", "report")
         return [line for line in replies if line.startswith("<")]
 
-    def told(self, line: str) -> "list[str]":
+    def reply_to(self, line: str) -> "list[str]":
         """Return the reply to a line."""
         replies: "list[str]" = []
 
@@ -222,11 +222,11 @@ def test_every_example_is_short_and_has_its_test() -> None:
 # Tool change with length measuring
 
 
-def changed(shop: Make, **more: Any) -> Shop:
+def with_tool_sensor(shop: Make, **more: Any) -> Shop:
     """Return a machine whose sensor is touched 35 mm down."""
-    made = shop("tool_length", **more)
-    made.switch(axis=2, above=False, mm=-35)
-    return made
+    cnc = shop("tool_length", **more)
+    cnc.switch(axis=2, above=False, mm=-35)
+    return cnc
 
 
 def test_tool_is_changed_with_everything_off_and_measured(shop: Make) -> None:
@@ -234,116 +234,116 @@ def test_tool_is_changed_with_everything_off_and_measured(shop: Make) -> None:
 
     Inches and relative distances (G20 G91) of the program do not affect it, and stay.
     """
-    made = changed(shop)
+    cnc = with_tool_sensor(shop)
     seen: dict[str, Any] = {}
 
     def script() -> "Iterator[Any]":
         """Change to tool 2; look at the machine while it waits for the user."""
-        yield from made.send("G20 G91 M3 S1000 M8")
-        yield from made.start("T2 M6")  # waits for the hold
-        port = made.rig.port
-        seen["off"] = (port.spindle_on, port.flood, made.place())
-        yield from made.start("~", "Idle")  # cycle start: it measures
-        seen["modes"] = yield from made.send("$G")
-        seen["offsets"] = yield from made.send("$#")
+        yield from cnc.send("G20 G91 M3 S1000 M8")
+        yield from cnc.start("T2 M6")  # waits for the hold
+        port = cnc.rig.port
+        seen["off"] = (port.spindle_on, port.flood, cnc.position_mm())
+        yield from cnc.start("~", "Idle")  # cycle start: it measures
+        seen["modes"] = yield from cnc.send("$G")
+        seen["offsets"] = yield from cnc.send("$#")
 
-    made.run(script())
+    cnc.run(script())
     assert seen["off"] == (False, 0, (3.0, 60.0, -1.0))
-    assert "Put in tool 2, then cycle start" in made.messages
+    assert "Put in tool 2, then cycle start" in cnc.messages
     assert "G20 G91" in seen["modes"][0]
     assert "[TLO:-35.000]" in seen["offsets"]
-    assert made.place() == (3.0, 139.0, -1.0)
+    assert cnc.position_mm() == (3.0, 139.0, -1.0)
 
 
 def test_length_is_restored_after_a_reset_and_power_off(shop: Make) -> None:
-    """The length of -35 mm (see changed()) is in $# after both."""
-    made = changed(shop)
+    """The length of -35 mm (see with_tool_sensor()) is in $# after both."""
+    cnc = with_tool_sensor(shop)
     seen: list[Any] = []
 
     def script() -> "Iterator[Any]":
         """Measure a tool; reset while idle; read the offsets."""
-        yield from made.start("T2 M6")
-        yield from made.start("~", "Idle")  # the tool is in; it is measured
-        yield from made.send("\x18", "banner")
-        seen.extend((yield from made.send("$#")))
-        yield from made.sender.silence(made.rig.now, 500)
+        yield from cnc.start("T2 M6")
+        yield from cnc.start("~", "Idle")  # the tool is in; it is measured
+        yield from cnc.send("\x18", "banner")
+        seen.extend((yield from cnc.send("$#")))
+        yield from cnc.sender.silence(cnc.rig.now, 500)
 
-    made.run(script())
+    cnc.run(script())
     assert "[TLO:-35.000]" in seen
-    made.power_up(made.rig.store)
-    assert "[TLO:-35.000]" in made.told("$#")
+    cnc.power_up(cnc.rig.store)
+    assert "[TLO:-35.000]" in cnc.reply_to("$#")
 
 
 def test_pressed_sensor_is_reported_and_nothing_moves(shop: Make) -> None:
     """The PROBE input is the sensor: it is closed before T2 M6, which is refused."""
-    made = shop("tool_length")
-    made.rig.port.push({"probe": True})
-    assert made.say("M3 S1000", "T2 M6") == ["ok", "error:3"]
-    assert made.messages == ["The tool sensor is pressed: nothing has moved"]
-    assert made.place() == (0, 0, 0)
+    cnc = shop("tool_length")
+    cnc.rig.port.push({"probe": True})
+    assert cnc.say("M3 S1000", "T2 M6") == ["ok", "error:3"]
+    assert cnc.messages == ["The tool sensor is pressed: nothing has moved"]
+    assert cnc.position_mm() == (0, 0, 0)
 
 
 def test_tool_that_does_not_touch_has_no_length(shop: Make) -> None:
     """Without a sensor the measurement fails (alarm 5) at Z-60; the old length of -20 is gone."""
-    made = shop("tool_length")
+    cnc = shop("tool_length")
     seen: list[Any] = []
 
     def script() -> "Iterator[Any]":
         """Change to tool 2; its measurement touches nothing; unlock, and read the offsets."""
-        yield from made.send("G43.1 Z-20")
-        yield from made.start("T2 M6")
-        yield from made.start("~", "Alarm")
-        seen.extend((yield from made.send("$X")))
-        seen.extend((yield from made.send("$#")))
+        yield from cnc.send("G43.1 Z-20")
+        yield from cnc.start("T2 M6")
+        yield from cnc.start("~", "Alarm")
+        seen.extend((yield from cnc.send("$X")))
+        seen.extend((yield from cnc.send("$#")))
 
-    made.run(script())
-    assert "ALARM:5" in made.answers and "[TLO:0.000]" in seen
-    assert made.place()[2] == -60
+    cnc.run(script())
+    assert "ALARM:5" in cnc.answers and "[TLO:0.000]" in seen
+    assert cnc.position_mm()[2] == -60
 
 
 def test_tool_selected_long_before_is_requested(shop: Make) -> None:
     """M6 without T, some lines after T7."""
-    made = changed(shop)
+    cnc = with_tool_sensor(shop)
 
     def script() -> "Iterator[Any]":
-        yield from made.send("T7")
-        yield from made.send("G1 X1 F1000")
-        yield from made.start("M6")
+        yield from cnc.send("T7")
+        yield from cnc.send("G1 X1 F1000")
+        yield from cnc.start("M6")
 
-    made.run(script())
-    assert "Put in tool 7, then cycle start" in made.messages
+    cnc.run(script())
+    assert "Put in tool 7, then cycle start" in cnc.messages
 
 
 def test_reset_during_the_measurement_stops_and_leaves_no_length(shop: Make) -> None:
     """The machine is on its way to the sensor: alarm 3, because a moving one may lose steps."""
-    made = changed(shop)
+    cnc = with_tool_sensor(shop)
     seen: list[Any] = []
 
     def script() -> "Iterator[Any]":
         """Reset in the middle of the measurement. Note the place at once and 0.5 s later."""
-        yield from made.start("T2 M6")
-        yield from made.start("~", "Run")
-        yield made.rig.ms(1500)  # it has left the place of the change, X3 Y60
-        yield from made.send("\x18", "banner")
-        seen.append(made.place())
-        yield made.rig.ms(500)
-        seen.append(made.place())
-        yield from made.send("$X")
-        seen.extend((yield from made.send("$#")))
+        yield from cnc.start("T2 M6")
+        yield from cnc.start("~", "Run")
+        yield cnc.rig.ms(1500)  # it has left the place of the change, X3 Y60
+        yield from cnc.send("\x18", "banner")
+        seen.append(cnc.position_mm())
+        yield cnc.rig.ms(500)
+        seen.append(cnc.position_mm())
+        yield from cnc.send("$X")
+        seen.extend((yield from cnc.send("$#")))
 
-    made.run(script())
+    cnc.run(script())
     assert seen[0] == seen[1] and seen[0] != (3.0, 60.0, -1.0)
-    assert "ALARM:3" in made.answers and "[TLO:0.000]" in seen
+    assert "ALARM:3" in cnc.answers and "[TLO:0.000]" in seen
 
 
 # Touch plate
 
 
-def plate(shop: Make) -> Shop:
+def with_touch_plate(shop: Make) -> Shop:
     """Return a machine whose work has its corner 10 mm left, 5 mm in front and 15 mm below."""
-    made = shop("touch_plate")
-    made.rig.engine.switches.append(Solid(made, _on_plate))
-    return made
+    cnc = shop("touch_plate")
+    cnc.rig.engine.switches.append(Solid(cnc, _on_plate))
+    return cnc
 
 
 def _on_plate(x: float, y: float, z: float) -> bool:
@@ -353,50 +353,50 @@ def _on_plate(x: float, y: float, z: float) -> bool:
 
 def test_touch_plate_finds_the_top_of_the_work(shop: Make) -> None:
     """M110 touches the plate, at Z-3 with its 12 mm on the work at Z-15. G20 must not matter."""
-    made = plate(shop)
-    assert made.say("G20", "M110") == ["ok", "ok"]
-    assert offset(made, "G54") == pytest.approx((0, 0, -15), abs=0.02)
-    assert made.place()[2] == pytest.approx(-3 + 3, abs=0.2)  # 3 mm above the plate
+    cnc = with_touch_plate(shop)
+    assert cnc.say("G20", "M110") == ["ok", "ok"]
+    assert offset(cnc, "G54") == pytest.approx((0, 0, -15), abs=0.02)
+    assert cnc.position_mm()[2] == pytest.approx(-3 + 3, abs=0.2)  # 3 mm above the plate
 
 
 @pytest.mark.parametrize("lines", [("M110 D6",), ("G20 G91", "M110 D0.23622")])
 def test_touch_plate_finds_the_corner(shop: Make, lines: "tuple[str, ...]") -> None:
     """The corner is at X-10 Y-5, for D of 6 mm or 0.23622 inches. A tool length of 0.5 mm is
     active, which Z includes."""
-    made = plate(shop)
-    assert set(made.say("G43.1 Z0.5", *lines)) == {"ok"}, made.messages
-    assert offset(made, "G54")[:2] == pytest.approx((-10, -5), abs=0.02)
-    assert offset(made, "G54")[2] == pytest.approx(-15 - 0.5, abs=0.02)
+    cnc = with_touch_plate(shop)
+    assert set(cnc.say("G43.1 Z0.5", *lines)) == {"ok"}, cnc.messages
+    assert offset(cnc, "G54")[:2] == pytest.approx((-10, -5), abs=0.02)
+    assert offset(cnc, "G54")[2] == pytest.approx(-15 - 0.5, abs=0.02)
 
 
 def test_touch_plate_stops_at_an_obstacle_on_the_way(shop: Make) -> None:
     """A clamp at X-24 is in the way of the 30 mm that the tool moves to the plate's left side."""
-    made = plate(shop)
-    clamp = Solid(made, lambda x, y, z: x <= -24)
-    made.rig.engine.switches.append(clamp)
-    assert made.say("M110 D6") == ["error:3"]
-    assert made.messages == ["The tool has touched something on its way, X-30"]
-    assert made.place()[0] == pytest.approx(-24, abs=1)
-    assert offset(made, "G54") == (0, 0, 0)
+    cnc = with_touch_plate(shop)
+    clamp = Solid(cnc, lambda x, y, z: x <= -24)
+    cnc.rig.engine.switches.append(clamp)
+    assert cnc.say("M110 D6") == ["error:3"]
+    assert cnc.messages == ["The tool has touched something on its way, X-30"]
+    assert cnc.position_mm()[0] == pytest.approx(-24, abs=1)
+    assert offset(cnc, "G54") == (0, 0, 0)
 
 
 def test_touch_plate_is_not_used_with_a_turning_spindle(shop: Make) -> None:
-    made = plate(shop)
-    assert made.say("M3 S1000", "M110") == ["ok", "error:3"]
-    assert made.place() == (0, 0, 0) and made.messages == ["The spindle turns: M5 first"]
+    cnc = with_touch_plate(shop)
+    assert cnc.say("M3 S1000", "M110") == ["ok", "error:3"]
+    assert cnc.position_mm() == (0, 0, 0) and cnc.messages == ["The spindle turns: M5 first"]
 
 
 def test_touch_plate_is_not_used_while_it_touches(shop: Make) -> None:
-    made = plate(shop)
-    made.rig.port.push({"probe": True})
-    assert made.say("M110") == ["error:3"] and "clip off" in made.messages[-1]
+    cnc = with_touch_plate(shop)
+    cnc.rig.port.push({"probe": True})
+    assert cnc.say("M110") == ["error:3"] and "clip off" in cnc.messages[-1]
 
 
 def test_missing_touch_plate_is_an_alarm_and_changes_no_offset(shop: Make) -> None:
-    made = shop("touch_plate")
-    made.say("M110")
-    assert made.answers[:1] == ["ALARM:5"] and offset(made, "G54") == (0, 0, 0)
-    assert made.place() == (0, 0, -20)
+    cnc = shop("touch_plate")
+    cnc.say("M110")
+    assert cnc.answers[:1] == ["ALARM:5"] and offset(cnc, "G54") == (0, 0, 0)
+    assert cnc.position_mm() == (0, 0, -20)
 
 
 # The middle of a pocket
@@ -404,42 +404,40 @@ def test_missing_touch_plate_is_an_alarm_and_changes_no_offset(shop: Make) -> No
 
 def test_middle_of_a_pocket_is_found_and_reported(shop: Make) -> None:
     """The pocket is 32 by 24 mm about X4 Y-4, R1.5 in inches. Its middle becomes zero of G55."""
-    made = shop("pocket")
-    made.rig.engine.switches.append(
-        Solid(made, lambda x, y, z: not (-12 < x < 20 and -16 < y < 8))
-    )
-    assert made.say("G20 G55", "M112 R1.5") == ["ok", "ok"], made.messages
-    assert offset(made, "G55")[:2] == pytest.approx((4, -4), abs=0.02)
-    assert offset(made, "G54") == (0, 0, 0)
-    assert made.place()[:2] == pytest.approx((4, -4), abs=0.02)
-    assert "X 32.0" in made.messages[-1] and "Y 24.0" in made.messages[-1]
+    cnc = shop("pocket")
+    cnc.rig.engine.switches.append(Solid(cnc, lambda x, y, z: not (-12 < x < 20 and -16 < y < 8)))
+    assert cnc.say("G20 G55", "M112 R1.5") == ["ok", "ok"], cnc.messages
+    assert offset(cnc, "G55")[:2] == pytest.approx((4, -4), abs=0.02)
+    assert offset(cnc, "G54") == (0, 0, 0)
+    assert cnc.position_mm()[:2] == pytest.approx((4, -4), abs=0.02)
+    assert "X 32.0" in cnc.messages[-1] and "Y 24.0" in cnc.messages[-1]
 
 
 def test_middle_of_a_hole_is_found_from_its_edge(shop: Make) -> None:
     """A hole with a diameter of 30 mm about X5 Y-9; the probe begins at X0 Y0, near its edge."""
-    made = shop("pocket")
-    made.rig.engine.switches.append(
-        Solid(made, lambda x, y, z: (x - 5) ** 2 + (y + 9) ** 2 >= 15**2)
+    cnc = shop("pocket")
+    cnc.rig.engine.switches.append(
+        Solid(cnc, lambda x, y, z: (x - 5) ** 2 + (y + 9) ** 2 >= 15**2)
     )
-    assert made.say("M112 R30") == ["ok"], made.messages
-    assert made.place()[:2] == pytest.approx((5, -9), abs=0.05)
-    assert "X 30.0" in made.messages[-1]
+    assert cnc.say("M112 R30") == ["ok"], cnc.messages
+    assert cnc.position_mm()[:2] == pytest.approx((5, -9), abs=0.05)
+    assert "X 30.0" in cnc.messages[-1]
 
 
 @pytest.mark.parametrize(
     ("before", "line"), [("M3 S500", "M112 R30"), ("M5", "M112 R0"), ("M5", "M112 R-3")]
 )
 def test_impossible_pocket_is_refused_with_the_reason(shop: Make, before: str, line: str) -> None:
-    made = shop("pocket")
-    assert made.say(before, line) == ["ok", "error:3"]
-    assert made.messages[-1].startswith("M112") and made.place() == (0, 0, 0)
+    cnc = shop("pocket")
+    assert cnc.say(before, line) == ["ok", "error:3"]
+    assert cnc.messages[-1].startswith("M112") and cnc.position_mm() == (0, 0, 0)
 
 
 def test_pocket_without_a_wall_is_an_alarm(shop: Make) -> None:
-    made = shop("pocket")
-    made.say("M112 R10")
-    assert made.answers[0] == "ALARM:5" and offset(made, "G54") == (0, 0, 0)
-    assert made.place() == (-10, 0, 0)
+    cnc = shop("pocket")
+    cnc.say("M112 R10")
+    assert cnc.answers[0] == "ALARM:5" and offset(cnc, "G54") == (0, 0, 0)
+    assert cnc.position_mm() == (-10, 0, 0)
 
 
 # Vacuum and air
@@ -452,54 +450,54 @@ def test_vacuum_follows_the_spindle_and_runs_on(shop: Make) -> None:
 
     M5 ends the air; the vacuum runs for another 5 s.
     """
-    made = shop("vacuum", **_VACUUM)
+    cnc = shop("vacuum", **_VACUUM)
     seen: list[Any] = []
 
     def look(ms: int) -> "Iterator[Any]":
         """After so many ms, note whether vacuum and air are on."""
-        yield made.rig.ms(ms)
-        seen.append((made.is_on("vacuum"), made.is_on("air")))
+        yield cnc.rig.ms(ms)
+        seen.append((cnc.is_on("vacuum"), cnc.is_on("air")))
 
     def script() -> "Iterator[Any]":
         """M3 at X5 and M5 at X10; look at the outputs 0.1, 4.6 and 5.6 s after M5."""
-        yield from made.send("G1 X5 F1500")
-        since = made.rig.now
-        yield from made.send("M3 S1000")
-        seen.append((made.rig.now - since) / made.rig.ticks_per_ms > 2000)  # ms
+        yield from cnc.send("G1 X5 F1500")
+        since = cnc.rig.now
+        yield from cnc.send("M3 S1000")
+        seen.append((cnc.rig.now - since) / cnc.rig.ticks_per_ms > 2000)  # ms
         yield from look(0)
-        yield from made.send("G1 X10")
-        yield from made.send("M5")
+        yield from cnc.send("G1 X10")
+        yield from cnc.send("M5")
         yield from look(100)
         yield from look(4500)
         yield from look(1000)
 
-    made.run(script())
+    cnc.run(script())
     assert seen == [True, (True, True), (True, False), (True, False), (False, False)]
     # X in mm where an output changed: both on, air off, vacuum off.
-    assert [place[0] for _, _, place in made.book] == [5, 5, 10, 10]
+    assert [place[0] for _, _, place in cnc.output_changes] == [5, 5, 10, 10]
 
 
 @pytest.mark.parametrize("end", ["M2", "\x18"])
 def test_end_of_a_program_ends_the_air_blast(shop: Make, end: str) -> None:
     """After M2 the vacuum runs on; a reset stops both at once."""
-    made = shop("vacuum", **_VACUUM)
+    cnc = shop("vacuum", **_VACUUM)
     seen: list[bool] = []
 
     def script() -> "Iterator[Any]":
-        yield from made.send("M3 S1000")
-        yield from made.send("G1 X50 F1000", "ms 50")
-        yield from made.send(end, "ok" if end == "M2" else "banner")
-        seen.extend([made.is_on("air"), made.is_on("vacuum")])
+        yield from cnc.send("M3 S1000")
+        yield from cnc.send("G1 X50 F1000", "ms 50")
+        yield from cnc.send(end, "ok" if end == "M2" else "banner")
+        seen.extend([cnc.is_on("air"), cnc.is_on("vacuum")])
 
-    made.run(script())
+    cnc.run(script())
     assert seen == [False, end == "M2"]
 
 
 def test_laser_is_not_waited_for(shop: Make) -> None:
-    made = shop("vacuum", settings={32: 1}, **_VACUUM)
-    since = made.rig.now
-    made.say("M4 S100")
-    assert made.is_on("air") and (made.rig.now - since) / made.rig.ticks_per_ms < 500
+    cnc = shop("vacuum", settings={32: 1}, **_VACUUM)
+    since = cnc.rig.now
+    cnc.say("M4 S100")
+    assert cnc.is_on("air") and (cnc.rig.now - since) / cnc.rig.ticks_per_ms < 500
 
 
 # Stack light
@@ -512,14 +510,14 @@ def test_stack_light_shows_the_state(shop: Make) -> None:
 
     They are green (it moves), yellow (it waits), and "well" (no alarm).
     """
-    made = shop("stack_light", **_LIGHT)
+    cnc = shop("stack_light", **_LIGHT)
     seen: list[Any] = []
 
     def look(text: str, how: str) -> "Iterator[Any]":
         """Send a text and wait as given, then note the lamps."""
-        yield from made.send(text, how)
-        yield made.rig.ms(100)
-        seen.append("".join([n[0] for n in made.outputs[:3] if made.is_on(n)]))
+        yield from cnc.send(text, how)
+        yield cnc.rig.ms(100)
+        seen.append("".join([n[0] for n in cnc.outputs[:3] if cnc.is_on(n)]))
 
     def script() -> "Iterator[Any]":
         """Look at the lamps while idle, in motion, in a hold, resumed, after a reset, unlocked."""
@@ -530,24 +528,24 @@ def test_stack_light_shows_the_state(shop: Make) -> None:
         yield from look("\x18", "banner")  # during motion: alarm
         yield from look("$X\n", "ms 50")
 
-    made.run(script())
+    cnc.run(script())
     assert seen == ["w", "gw", "yw", "gw", "", "w"]
 
 
 def test_buzzer_beeps_twice_in_alarm_and_again_later(shop: Make) -> None:
     """With homing ($22=1) the machine is in alarm from power-up; $X ends it."""
-    made = shop("stack_light", settings={22: 1}, **_LIGHT)
+    cnc = shop("stack_light", settings={22: 1}, **_LIGHT)
 
     def script() -> "Iterator[Any]":
-        yield made.rig.ms(21_000)
-        assert not made.is_on("well")
-        yield from made.send("$X")
-        yield made.rig.ms(11_000)  # longer than the 10 s between beeps
+        yield cnc.rig.ms(21_000)
+        assert not cnc.is_on("well")
+        yield from cnc.send("$X")
+        yield cnc.rig.ms(11_000)  # longer than the 10 s between beeps
 
-    made.run(script())
-    beeps = [on for name, on, _ in made.book if name == "buzzer"]
+    cnc.run(script())
+    beeps = [on for name, on, _ in cnc.output_changes if name == "buzzer"]
     # Two at 0, 10 and 20 s.
-    assert beeps.count(True) == 6 and not made.is_on("buzzer")
+    assert beeps.count(True) == 6 and not cnc.is_on("buzzer")
 
 
 # Counter
@@ -558,40 +556,40 @@ def test_parts_are_counted_over_power_off(shop: Make) -> None:
 
     Reports have |Pn:made,wanted; M120 sets the number wanted, M121 starts again at 0.
     """
-    made = shop("counter")
+    cnc = shop("counter")
 
     def script() -> "Iterator[Any]":
         """M120 sets 3 parts as the number wanted; two programs end with M30."""
-        yield from made.send("M120 Q3")
+        yield from cnc.send("M120 Q3")
         for _ in range(2):
-            yield from made.send("G1 X1 F1000")
-            yield from made.send("M30")
-        yield made.rig.ms(100)  # the numbers are written while the machine is idle
+            yield from cnc.send("G1 X1 F1000")
+            yield from cnc.send("M30")
+        yield cnc.rig.ms(100)  # the numbers are written while the machine is idle
 
-    made.run(script())
-    made.power_up(made.rig.store)
+    cnc.run(script())
+    cnc.power_up(cnc.rig.store)
     seen: list[str] = []
 
     def next_day() -> "Iterator[Any]":
         """Read the counter after power-up; M2 ends the third part; M121 starts again at 0."""
-        yield from made.reports()  # only a second report is sure to have the field
-        seen.extend((yield from made.reports()))
-        yield from made.start("M2")
-        seen.append(made.messages[-1])
-        yield from made.start("~", "Idle")  # the box is empty
-        yield from made.send("M121")
-        yield from made.reports()
-        seen.extend((yield from made.reports()))
+        yield from cnc.reports()  # only a second report is sure to have the field
+        seen.extend((yield from cnc.reports()))
+        yield from cnc.start("M2")
+        seen.append(cnc.messages[-1])
+        yield from cnc.start("~", "Idle")  # the box is empty
+        yield from cnc.send("M121")
+        yield from cnc.reports()
+        seen.extend((yield from cnc.reports()))
 
-    made.run(next_day())
+    cnc.run(next_day())
     assert seen[0].endswith("|Pn:2,3>") and seen[2].endswith("|Pn:0,3>")
     assert seen[1] == "3 parts are made: empty the box, then cycle start"
 
 
 def test_fractional_number_of_parts_is_refused(shop: Make) -> None:
-    made = shop("counter")
-    assert made.say("M120 Q-1", "M120 Q1.5", "M120") == ["error:3", "error:3", "error:28"]
-    assert made.messages[0] == "M120: Q is a number of parts, not -1"
+    cnc = shop("counter")
+    assert cnc.say("M120 Q-1", "M120 Q1.5", "M120") == ["error:3", "error:3", "error:28"]
+    assert cnc.messages[0] == "M120: Q is a number of parts, not -1"
 
 
 # A guard for a probe
@@ -603,32 +601,32 @@ def test_guarded_probe_stops_at_an_obstacle(shop: Make, line: str) -> None:
 
     seen: place after the stop, 2 s later, a report, place after a jog by -30 mm.
     """
-    made = shop("guard", settings={110: 1500})
-    made.switch(axis=0, above=True, mm=20)
+    cnc = shop("guard", settings={110: 1500})
+    cnc.switch(axis=0, above=True, mm=20)
     seen: list[Any] = []
 
     def script() -> "Iterator[Any]":
         """M114 P1 guards the probe; it touches during a move; unlock, and jog away."""
-        yield from made.send("M114 P1")
-        yield from made.send(line + "\n", "ms 1")
+        yield from cnc.send("M114 P1")
+        yield from cnc.send(line + "\n", "ms 1")
         if line[0] == "G":  # lines after it, which are not executed
-            yield from made.send("G1 Y50 F1500\n" * 30, "ms 1")
-        yield from made.until("Alarm")
-        seen.append(made.place())
-        yield made.rig.ms(2000)
-        seen.append(made.place())
-        yield from made.send("$X")
-        seen.extend((yield from made.reports()))
-        yield from made.send("$J=G91 X-30 F1000")
-        yield from made.until("Idle")
-        seen.append(made.place())
+            yield from cnc.send("G1 Y50 F1500\n" * 30, "ms 1")
+        yield from cnc.until("Alarm")
+        seen.append(cnc.position_mm())
+        yield cnc.rig.ms(2000)
+        seen.append(cnc.position_mm())
+        yield from cnc.send("$X")
+        seen.extend((yield from cnc.reports()))
+        yield from cnc.send("$J=G91 X-30 F1000")
+        yield from cnc.until("Idle")
+        seen.append(cnc.position_mm())
 
-    made.run(script())
+    cnc.run(script())
     assert seen[0] == seen[1] and 20 <= seen[0][0] < 25 and seen[0][1] == 0
     assert "MPos:%.3f," % seen[0][0] in seen[2]
     assert seen[3][0] == pytest.approx(seen[0][0] - 30)
-    assert made.messages[0].startswith("The probe has run into something at (20.")
-    assert "ALARM:34" in made.answers
+    assert cnc.messages[0].startswith("The probe has run into something at (20.")
+    assert "ALARM:34" in cnc.answers
 
 
 def test_guarded_probe_can_probe_and_be_pulled_back(shop: Make) -> None:
@@ -636,32 +634,34 @@ def test_guarded_probe_can_probe_and_be_pulled_back(shop: Make) -> None:
 
     M114 P0 switches the guard off: then X30 is reached.
     """
-    made = shop("guard")
-    made.switch(axis=0, above=True, mm=20)
+    cnc = shop("guard")
+    cnc.switch(axis=0, above=True, mm=20)
     lines = ("M114 P1", "G0 X10", "G38.2 X50 F300", "G0 X5", "G38.2 X50 F300", "G0 X0", "M114 P0")
-    assert made.say(*lines, "G0 X30") == ["ok"] * 8
-    assert made.place()[0] == 30 and "ALARM:34" not in made.answers
+    assert cnc.say(*lines, "G0 X30") == ["ok"] * 8
+    assert cnc.position_mm()[0] == 30 and "ALARM:34" not in cnc.answers
 
 
 def test_rapid_before_a_probing_move_is_guarded(shop: Make) -> None:
     """The probing line is read while the rapid before it is still executed."""
-    made = shop("guard", settings={110: 1500})
-    made.switch(axis=0, above=True, mm=20)
+    cnc = shop("guard", settings={110: 1500})
+    cnc.switch(axis=0, above=True, mm=20)
 
     def script() -> "Iterator[Any]":
-        yield from made.send("M114 P1")
-        yield from made.send("G0 X50\nG38.2 Z-10 F100\n", "ms 1")
-        yield from made.until("Alarm")
+        yield from cnc.send("M114 P1")
+        yield from cnc.send("G0 X50\nG38.2 Z-10 F100\n", "ms 1")
+        yield from cnc.until("Alarm")
 
-    made.run(script())
-    assert "ALARM:34" in made.answers and 20 <= made.place()[0] < 25 and made.place()[2] == 0
+    cnc.run(script())
+    assert (
+        "ALARM:34" in cnc.answers and 20 <= cnc.position_mm()[0] < 25 and cnc.position_mm()[2] == 0
+    )
 
 
 def test_spindle_does_not_turn_with_a_probe_in_it(shop: Make) -> None:
-    made = shop("guard")
-    assert made.say("M3 S100", "M114 P1", "M5", "M114 P1", "M3") == ["ok", "error:3"] + ["ok"] * 3
-    assert made.answers[-1] == "ok" and "ALARM:34" in made.answers
-    assert not made.rig.port.spindle_on
+    cnc = shop("guard")
+    assert cnc.say("M3 S100", "M114 P1", "M5", "M114 P1", "M3") == ["ok", "error:3"] + ["ok"] * 3
+    assert cnc.answers[-1] == "ok" and "ALARM:34" in cnc.answers
+    assert not cnc.rig.port.spindle_on
 
 
 # Feeder
@@ -671,56 +671,59 @@ _FEEDER = {"OUTPUTS": {"feeder": 20}, "INPUTS": {"part": 21, "jam": 22}}
 
 def test_feeder_runs_until_a_part_lies_still(shop: Make) -> None:
     """M115 runs the feeder at X10, until the sensor "part" is closed. Then the job goes on."""
-    made = shop("feeder", **_FEEDER)
+    cnc = shop("feeder", **_FEEDER)
     seen: list[bool] = []
 
     def script() -> "Iterator[Any]":
         """M115 runs the feeder until the input "part" closes."""
-        yield from made.send("G1 X10 F1000")
-        yield from made.send("M115\nG1 X20\n", "ms 2000")  # X10 is reached, no part has come
-        seen.append(made.is_on("feeder"))
-        made.close("part")
-        yield made.rig.ms(100)
-        seen.append(made.is_on("feeder"))
-        yield from made.until("Run")
-        yield from made.until("Idle")
+        yield from cnc.send("G1 X10 F1000")
+        yield from cnc.send("M115\nG1 X20\n", "ms 2000")  # X10 is reached, no part has come
+        seen.append(cnc.is_on("feeder"))
+        cnc.close("part")
+        yield cnc.rig.ms(100)
+        seen.append(cnc.is_on("feeder"))
+        yield from cnc.until("Run")
+        yield from cnc.until("Idle")
 
-    made.run(script())
-    assert seen == [True, False] and made.place()[0] == 20
-    assert [place[0] for _, _, place in made.book] == [10, 10]  # X where it switched on and off
+    cnc.run(script())
+    assert seen == [True, False] and cnc.position_mm()[0] == 20
+    assert [place[0] for _, _, place in cnc.output_changes] == [
+        10,
+        10,
+    ]  # X where it switched on and off
 
 
 def test_job_holds_without_a_part_until_the_user_resumes(shop: Make) -> None:
     """M115 Q2 waits 2 s for a part, then holds. M115 is answered after a part has come."""
-    made = shop("feeder", **_FEEDER)
+    cnc = shop("feeder", **_FEEDER)
 
     def script() -> "Iterator[Any]":
         """M115 holds, because no part comes within Q2 = 2 s; a part and cycle start end it."""
-        yield from made.start("M115 Q2")  # waits for the hold
-        assert not made.is_on("feeder") and made.answers == []
-        made.close("part")
-        yield from made.start("~", "Idle")
-        yield from made.answered(1)
+        yield from cnc.start("M115 Q2")  # waits for the hold
+        assert not cnc.is_on("feeder") and cnc.answers == []
+        cnc.close("part")
+        yield from cnc.start("~", "Idle")
+        yield from cnc.wait_for_answers(1)
 
-    made.run(script())
-    assert made.messages[0].startswith("No part within 2 s") and made.answers == ["ok"]
+    cnc.run(script())
+    assert cnc.messages[0].startswith("No part within 2 s") and cnc.answers == ["ok"]
 
 
 def test_reset_stops_the_feeder_and_a_jam_is_reported(shop: Make) -> None:
-    made = shop("feeder", **_FEEDER)
+    cnc = shop("feeder", **_FEEDER)
 
     def script() -> "Iterator[Any]":
         """Reset while M115 feeds; then M115 with the input "jam" closed, and with a wrong Q."""
-        yield from made.send("M115\n", "ms 500")
-        assert made.is_on("feeder")
-        yield from made.send("\x18", "banner")
-        assert not made.is_on("feeder")
-        made.close("jam")
-        assert "error:3" in (yield from made.send("M115"))
-        assert "error:3" in (yield from made.send("M115 Q0"))
+        yield from cnc.send("M115\n", "ms 500")
+        assert cnc.is_on("feeder")
+        yield from cnc.send("\x18", "banner")
+        assert not cnc.is_on("feeder")
+        cnc.close("jam")
+        assert "error:3" in (yield from cnc.send("M115"))
+        assert "error:3" in (yield from cnc.send("M115 Q0"))
 
-    made.run(script())
-    assert made.messages == ["M115: the feeder is jammed", "M115: Q is seconds, up to 120, not 0"]
+    cnc.run(script())
+    assert cnc.messages == ["M115: the feeder is jammed", "M115: Q is seconds, up to 120, not 0"]
 
 
 # Pick and place
@@ -730,55 +733,57 @@ _PICK = {"OUTPUTS": {"vacuum": 20, "blow": 21}, "INPUTS": {"gripped": 22}}
 
 def test_part_is_picked_and_placed(shop: Make) -> None:
     """M116 picks at Z-0.5 inches, M117 places at Z-0.25; both return to the height before."""
-    made = shop("pick", **_PICK)
+    cnc = shop("pick", **_PICK)
 
     def script() -> "Iterator[Any]":
         """Pick with M116 at X1 inch, place with M117 at X2 inches."""
-        yield from made.send("G20 G0 X1")
+        yield from cnc.send("G20 G0 X1")
         # 12.7 mm down at 600 mm/min take 1.3 s. Then it waits 0.8 s for the vacuum sensor.
-        yield from made.send("M116 Z-0.5\n", "ms 1900")
-        assert made.place()[2] == pytest.approx(-12.7, abs=0.01)
-        made.close("gripped")
-        yield from made.answered(2)  # G0 and M116
-        assert made.place()[2] == 0
-        yield from made.send("G0 X2")
-        yield from made.send("M117 Z-0.25\n", "ms 1500")  # long enough for the part's release
-        made.close("gripped", False)
-        yield from made.answered(4)
+        yield from cnc.send("M116 Z-0.5\n", "ms 1900")
+        assert cnc.position_mm()[2] == pytest.approx(-12.7, abs=0.01)
+        cnc.close("gripped")
+        yield from cnc.wait_for_answers(2)  # G0 and M116
+        assert cnc.position_mm()[2] == 0
+        yield from cnc.send("G0 X2")
+        yield from cnc.send("M117 Z-0.25\n", "ms 1500")  # long enough for the part's release
+        cnc.close("gripped", closed=False)
+        yield from cnc.wait_for_answers(4)
 
-    made.run(script())
-    assert made.answers == ["ok"] * 4
-    assert [(name, on) for name, on, _ in made.book] == [
+    cnc.run(script())
+    assert cnc.answers == ["ok"] * 4
+    assert [(name, on) for name, on, _ in cnc.output_changes] == [
         ("vacuum", True),
         ("vacuum", False),
         ("blow", True),
         ("blow", False),
     ]
-    release_place = made.book[1][2]
+    release_place = cnc.output_changes[1][2]
     assert release_place == pytest.approx((50.8, 0, -6.35), abs=0.01)  # 2 and -0.25 inches
-    assert made.place() == pytest.approx((50.8, 0, 0), abs=0.01) and made.messages == []
+    assert cnc.position_mm() == pytest.approx((50.8, 0, 0), abs=0.01) and cnc.messages == []
 
 
 def test_missing_and_lost_parts_hold_the_job(shop: Make) -> None:
     """M116 holds without a part; a part that the vacuum sensor loses holds the next move."""
-    made = shop("pick", **_PICK)
+    cnc = shop("pick", **_PICK)
 
     def script() -> "Iterator[Any]":
         """Pick without a part, then with one; lose it during a move; resume with it."""
-        yield from made.start("M116 Z-5")  # waits for the hold
-        assert made.place() == (0, 0, 0) and made.messages[0].startswith("No part at the sucker")
-        made.close("gripped")
-        yield from made.start("~", "Idle")
-        yield from made.send("G1 X50 F1000\n", "ms 1000")
-        made.close("gripped", False)
-        yield from made.until("Hold")
-        assert 0 < made.place()[0] < 25  # 1 s at 1000 mm/min, and the way to stop
-        made.close("gripped")
-        yield from made.start("~", "Idle")
+        yield from cnc.start("M116 Z-5")  # waits for the hold
+        assert cnc.position_mm() == (0, 0, 0) and cnc.messages[0].startswith(
+            "No part at the sucker"
+        )
+        cnc.close("gripped")
+        yield from cnc.start("~", "Idle")
+        yield from cnc.send("G1 X50 F1000\n", "ms 1000")
+        cnc.close("gripped", closed=False)
+        yield from cnc.until("Hold")
+        assert 0 < cnc.position_mm()[0] < 25  # 1 s at 1000 mm/min, and the way to stop
+        cnc.close("gripped")
+        yield from cnc.start("~", "Idle")
 
-    made.run(script())
-    assert made.messages[-1].startswith("The part is lost") and made.place()[0] == 50
-    assert made.is_on("vacuum")
+    cnc.run(script())
+    assert cnc.messages[-1].startswith("The part is lost") and cnc.position_mm()[0] == 50
+    assert cnc.is_on("vacuum")
 
 
 # Pen
@@ -791,7 +796,7 @@ def test_pen_is_down_before_the_machine_moves(shop: Make) -> None:
     """
     from machine import PWM
 
-    made = shop("pen")
+    cnc = shop("pen")
     seen: list[Any] = []
 
     def us() -> int:
@@ -801,15 +806,15 @@ def test_pen_is_down_before_the_machine_moves(shop: Make) -> None:
     def script() -> "Iterator[Any]":
         """M3 puts the pen down; a reset during a move lifts it. Note the pulses, and the wait."""
         seen.append(us())
-        since = made.rig.now
-        yield from made.send("M3 S1")
-        seen.append((us(), (made.rig.now - since) / made.rig.ticks_per_ms >= 150))
-        yield from made.send("G1 X50 F1000\n", "ms 200")
-        yield from made.send("\x18", "banner")
-        yield made.rig.ms(20)
+        since = cnc.rig.now
+        yield from cnc.send("M3 S1")
+        seen.append((us(), (cnc.rig.now - since) / cnc.rig.ticks_per_ms >= 150))
+        yield from cnc.send("G1 X50 F1000\n", "ms 200")
+        yield from cnc.send("\x18", "banner")
+        yield cnc.rig.ms(20)
         seen.append(us())
 
-    made.run(script())
+    cnc.run(script())
     assert seen == [1000, (1600, True), 1000]
 
 
@@ -819,7 +824,7 @@ _WHEEL = {"wheel_a": 10, "wheel_b": 11}
 _PENDANT = {"INPUTS": {**_WHEEL, "z": 12, "y": 13, "plus": 14, "minus": 15, "coarse": 16}}
 
 
-def turn_wheel(made: Shop, edges: int) -> "Iterator[Any]":
+def turn_wheel(cnc: Shop, edges: int) -> "Iterator[Any]":
     """Switch both contacts of the wheel as an encoder does, with edges of wheel_a.
 
     Negative edges turn it the other way. A contact changes every 3 ms.
@@ -829,66 +834,66 @@ def turn_wheel(made: Shop, edges: int) -> "Iterator[Any]":
         for _ in range(2):
             if (a == b) == (edges > 0):
                 a = not a
-                made.close("wheel_a", a)
+                cnc.close("wheel_a", a)
             else:
                 b = not b
-                made.close("wheel_b", b)
-            yield made.rig.ms(3)
+                cnc.close("wheel_b", b)
+            yield cnc.rig.ms(3)
 
 
 @pytest.mark.usefixtures("each_ms")
 @pytest.mark.parametrize(("edges", "coarse", "mm"), [(10, False, 0.1), (-10, True, -1.0)])
 def test_wheel_jogs_by_its_edges(shop: Make, edges: int, coarse: bool, mm: float) -> None:
     """0.01 mm per edge, or 0.1 mm with the switch "coarse"; the switch "y" chooses the axis."""
-    made = shop("pendant", **_PENDANT)
+    cnc = shop("pendant", **_PENDANT)
 
     def script() -> "Iterator[Any]":
         """Choose axis Y, turn the wheel of the pendant, and wait for the end of the jog."""
-        made.close("y")
-        made.close("coarse", coarse)
-        yield from turn_wheel(made, edges)
-        yield made.rig.ms(200)
-        yield from made.until("Idle")
+        cnc.close("y")
+        cnc.close("coarse", coarse)
+        yield from turn_wheel(cnc, edges)
+        yield cnc.rig.ms(200)
+        yield from cnc.until("Idle")
 
-    made.run(script())
-    assert made.place() == pytest.approx((0, mm, 0), abs=0.005)
+    cnc.run(script())
+    assert cnc.position_mm() == pytest.approx((0, mm, 0), abs=0.005)
 
 
 def test_button_jogs_while_it_is_held(shop: Make) -> None:
     """3 s at 1200 mm/min are 60 mm; after the release it stops within 2.5 mm."""
-    made = shop("pendant", **_PENDANT)
+    cnc = shop("pendant", **_PENDANT)
     seen: list[Any] = []  # X after 3 s, a report, X at the end
 
     def script() -> "Iterator[Any]":
         """Hold the pendant's button "minus" for 3 s."""
-        made.close("minus")
-        yield made.rig.ms(3000)
-        seen.append(made.place()[0])
-        seen.extend((yield from made.reports()))
-        made.close("minus", False)
-        yield from made.until("Idle")
-        seen.append(made.place()[0])
+        cnc.close("minus")
+        yield cnc.rig.ms(3000)
+        seen.append(cnc.position_mm()[0])
+        seen.extend((yield from cnc.reports()))
+        cnc.close("minus", closed=False)
+        yield from cnc.until("Idle")
+        seen.append(cnc.position_mm()[0])
 
-    made.run(script())
+    cnc.run(script())
     assert seen[0] == pytest.approx(-60, abs=3) and "<Jog" in seen[1]
     assert -2.5 < seen[2] - seen[0] < 0
 
 
 def test_pendant_does_not_disturb_a_program(shop: Make) -> None:
     """A button and the wheel are used within a move, whose end must not change."""
-    made = shop("pendant", **_PENDANT)
+    cnc = shop("pendant", **_PENDANT)
 
     def script() -> "Iterator[Any]":
         """Use the button "minus" and the wheel of the pendant during a move."""
-        yield from made.send("G1 X20 F1000\n", "ms 100")
-        made.close("minus")
-        yield made.rig.ms(300)
-        yield from turn_wheel(made, 10)
-        made.close("minus", False)
-        yield from made.until("Idle")
+        yield from cnc.send("G1 X20 F1000\n", "ms 100")
+        cnc.close("minus")
+        yield cnc.rig.ms(300)
+        yield from turn_wheel(cnc, 10)
+        cnc.close("minus", closed=False)
+        yield from cnc.until("Idle")
 
-    made.run(script())
-    assert made.place() == (20, 0, 0)
+    cnc.run(script())
+    assert cnc.position_mm() == (20, 0, 0)
 
 
 # A pendant on a serial line
@@ -923,11 +928,11 @@ def pendant(monkeypatch: pytest.MonkeyPatch, shop: Make) -> Shop:
     return shop("pendant_serial")
 
 
-def repeated(made: Shop, data: bytes, times: int) -> "Iterator[Any]":
+def repeated(cnc: Shop, data: bytes, times: int) -> "Iterator[Any]":
     """Send data so many times, every 20 ms."""
     for _ in range(times):
         Wire.last.sent += data
-        yield made.rig.ms(20)
+        yield cnc.rig.ms(20)
 
 
 def test_clicks_of_the_serial_pendant_jog_and_wrong_frames_do_not(pendant: Shop) -> None:
@@ -947,7 +952,7 @@ def test_clicks_of_the_serial_pendant_jog_and_wrong_frames_do_not(pendant: Shop)
         yield from pendant.until("Idle")
 
     pendant.run(script())
-    assert pendant.place() == pytest.approx((0.5, -1.2, 0), abs=0.005)
+    assert pendant.position_mm() == pytest.approx((0.5, -1.2, 0), abs=0.005)
 
 
 @pytest.mark.parametrize("end", ["the line is cut", "enabling button released", "button released"])
@@ -961,20 +966,20 @@ def test_jog_of_the_serial_pendant_ends(pendant: Shop, end: str) -> None:
     def script() -> "Iterator[Any]":
         """Hold "plus" for 100 frames (2 s); then end in the way that the parameter `end` says."""
         yield from repeated(pendant, frame(0, percent=50, buttons=1 | 2), 100)
-        seen.append(pendant.place()[0])
+        seen.append(pendant.position_mm()[0])
         seen.extend((yield from pendant.reports()))
         buttons = {"enabling button released": 2, "button released": 1}
         if end in buttons:
             yield from repeated(pendant, frame(0, percent=50, buttons=buttons[end]), 40)
         yield pendant.rig.ms(800)
-        seen.append(pendant.place()[0])
+        seen.append(pendant.position_mm()[0])
         yield from pendant.until("Idle")
 
     pendant.run(script())
     assert seen[0] == pytest.approx(50, abs=3) and "<Jog" in seen[1]
     # mm; a cut line is noticed only after 0.24 s, which are 6 mm.
-    assert 0 < pendant.place()[0] - seen[0] < (8 if end == "the line is cut" else 2.5)
-    assert pendant.place()[0] == seen[2]
+    assert 0 < pendant.position_mm()[0] - seen[0] < (8 if end == "the line is cut" else 2.5)
+    assert pendant.position_mm()[0] == seen[2]
 
 
 def test_hold_of_the_serial_pendant_acts_once_in_a_program(pendant: Shop) -> None:
@@ -991,7 +996,7 @@ def test_hold_of_the_serial_pendant_acts_once_in_a_program(pendant: Shop) -> Non
         yield from pendant.until("Idle")
 
     pendant.run(script())
-    assert pendant.place() == (20, 0, 0)
+    assert pendant.position_mm() == (20, 0, 0)
 
 
 # A tool rack
@@ -1034,7 +1039,7 @@ class Rack:
 
     def pocket(self) -> int:
         """Return the pocket in which the cone is, or 0."""
-        x, y, z = self.shop.place()
+        x, y, z = self.shop.position_mm()
         return round((x - 20) / 40) + 1 if y == 300 and z == -80 else 0
 
     def look(self) -> None:
@@ -1063,128 +1068,128 @@ def test_tools_return_to_their_pockets_and_are_measured(shop: Make) -> None:
 
     The program has inches and relative distances, which stay.
     """
-    made = shop("rack", **_RACK)
-    rack = Rack(made)
+    cnc = shop("rack", **_RACK)
+    rack = Rack(cnc)
     seen: list[Any] = []
 
     def script() -> "Iterator[Any]":
         """Change tools as given; note spindle, Z and tool length after each M6."""
         for line in ("G20 G91", "T3 M6", "M3 S500", "G0 Y-1", "T8", "G0 Y-1", "M6", "M6", "T0 M6"):
-            yield from made.send(line)
+            yield from cnc.send(line)
             if line == "M6":
-                seen.append((made.rig.port.spindle_on, made.place()[2]))
-                seen.extend((yield from made.send("$#"))[-2:-1])
-        seen.extend((yield from made.send("$G"))[:1])
+                seen.append((cnc.rig.port.spindle_on, cnc.position_mm()[2]))
+                seen.extend((yield from cnc.send("$#"))[-2:-1])
+        seen.extend((yield from cnc.send("$G"))[:1])
 
-    made.run(script())
-    assert made.messages == [] and set(made.answers) == {"ok"}
+    cnc.run(script())
+    assert cnc.messages == [] and set(cnc.answers) == {"ok"}
     assert rack.changes == ["+3", "-3", "+8", "-8"] and rack.pockets == set(range(1, 9))
     assert seen[0] == (False, -1) and "G20 G91" in seen[-1]  # spindle off, Z-1 after M6
     # It opened and closed for each of the four changes.
-    assert [name for name, _, _ in made.book].count("drawbar") == 8
+    assert [name for name, _, _ in cnc.output_changes].count("drawbar") == 8
 
 
 def test_impossible_tool_change_is_refused_before_anything_moves(shop: Make) -> None:
     """Each line has one reason for its refusal; `words` are from the messages, in this order."""
-    made = shop("rack", **_RACK)
-    Rack(made)
+    cnc = shop("rack", **_RACK)
+    Rack(cnc)
 
     def script() -> "Iterator[Any]":
         """Cause each refusal in turn, by inputs; M61 Q says which tool is in the cone."""
-        yield from made.send("T9 M6")
-        made.close("air", False)
-        yield from made.send("T1 M6")
-        made.close("air")
-        made.close("open")
-        yield from made.send("T1 M6")
-        made.close("open", False)
-        made.close("tool_in")
-        yield from made.send("T1 M6")
-        yield from made.send("M61 Q9")
-        yield from made.send("M61 Q0")
-        made.rig.port.push({"probe": True})
-        yield from made.send("M61 Q4")  # right: a tool is in the cone
-        yield from made.send("T1 M6")
+        yield from cnc.send("T9 M6")
+        cnc.close("air", closed=False)
+        yield from cnc.send("T1 M6")
+        cnc.close("air")
+        cnc.close("open")
+        yield from cnc.send("T1 M6")
+        cnc.close("open", closed=False)
+        cnc.close("tool_in")
+        yield from cnc.send("T1 M6")
+        yield from cnc.send("M61 Q9")
+        yield from cnc.send("M61 Q0")
+        cnc.rig.port.push({"probe": True})
+        yield from cnc.send("M61 Q4")  # right: a tool is in the cone
+        yield from cnc.send("T1 M6")
 
-    made.run(script())
-    assert made.answers == ["error:3"] * 6 + ["ok", "error:3"]
+    cnc.run(script())
+    assert cnc.answers == ["error:3"] * 6 + ["ok", "error:3"]
     words = ("1 to 8", "no air", "stands open", "has a tool", "M61 Q9", "M61 Q0", "is pressed")
-    assert all(word in message for word, message in zip(words, made.messages, strict=True))
-    assert made.place() == (0, 0, 0) and made.book == []
+    assert all(word in message for word, message in zip(words, cnc.messages, strict=True))
+    assert cnc.position_mm() == (0, 0, 0) and cnc.output_changes == []
 
 
 def test_stuck_drawbar_stops_the_change(shop: Make) -> None:
     """The change T2 to T5 stops in pocket 2 (Z-80); the tool is still in the cone."""
-    made = shop("rack", **_RACK)
-    rack = Rack(made)
+    cnc = shop("rack", **_RACK)
+    rack = Rack(cnc)
 
     def script() -> "Iterator[Any]":
         """Take tool 2; then the drawbar does not open when it is to be put away."""
-        yield from made.send("T2 M6")
+        yield from cnc.send("T2 M6")
         rack.stuck = True
-        yield from made.send("T5 M6\n", "ms 1")
-        yield from made.until("Alarm")
-        yield made.rig.ms(1500)
+        yield from cnc.send("T5 M6\n", "ms 1")
+        yield from cnc.until("Alarm")
+        yield cnc.rig.ms(1500)
 
-    made.run(script())
-    assert made.messages[0] == "The drawbar does not open" and "ALARM:34" in made.answers
-    assert rack.changes == ["+2"] and not made.is_on("drawbar") and made.place()[2] == -80
+    cnc.run(script())
+    assert cnc.messages[0] == "The drawbar does not open" and "ALARM:34" in cnc.answers
+    assert rack.changes == ["+2"] and not cnc.is_on("drawbar") and cnc.position_mm()[2] == -80
 
 
 def test_empty_pocket_and_broken_tool_are_reported(shop: Make) -> None:
     """Tool 2 breaks by 3 mm between two changes. Tool 7 is missing in its pocket."""
-    made = shop("rack", **_RACK)
-    rack = Rack(made)
+    cnc = shop("rack", **_RACK)
+    rack = Rack(cnc)
 
     def script() -> "Iterator[Any]":
         """Shorten tool 2 by 3 mm between two changes; later remove tool 7 from its pocket."""
-        yield from made.send("T2 M6")
-        yield from made.send("T0 M6")
+        yield from cnc.send("T2 M6")
+        yield from cnc.send("T0 M6")
         rack.lengths[2] -= 3
-        yield from made.start("T2 M6")  # waits for the hold
-        yield from made.start("~", "Idle")
-        yield from made.send("T0 M6")
+        yield from cnc.start("T2 M6")  # waits for the hold
+        yield from cnc.start("~", "Idle")
+        yield from cnc.send("T0 M6")
         rack.pockets.remove(7)
-        yield from made.send("T7 M6\n", "ms 1")
-        yield from made.until("Alarm")
+        yield from cnc.send("T7 M6\n", "ms 1")
+        yield from cnc.until("Alarm")
 
-    made.run(script())
-    assert made.messages[0].startswith("Tool 2 is 3.00 mm shorter")
-    assert made.messages[1] == "No tool in pocket 7" and not made.is_on("drawbar")
+    cnc.run(script())
+    assert cnc.messages[0].startswith("Tool 2 is 3.00 mm shorter")
+    assert cnc.messages[1] == "No tool in pocket 7" and not cnc.is_on("drawbar")
 
 
 @pytest.mark.thorough
 def test_reset_at_any_time_of_a_change_drops_no_tool(shop: Make) -> None:
     """After each reset M61 says which tool is in the cone, and the next change succeeds."""
     for ms in range(200, 17_000, 1200):
-        made = shop("rack", **_RACK)
-        rack = Rack(made)
+        cnc = shop("rack", **_RACK)
+        rack = Rack(cnc)
 
-        def script(made: Shop = made, rack: Rack = rack, ms: int = ms) -> "Iterator[Any]":
+        def script(cnc: Shop = cnc, rack: Rack = rack, ms: int = ms) -> "Iterator[Any]":
             """Reset `ms` after the start of the change from tool 2 to 5; then change to tool 1."""
-            yield from made.send("T2 M6")
-            yield from made.send("T5 M6\n", "ms %d" % ms)
-            yield from made.send("\x18", "banner")
+            yield from cnc.send("T2 M6")
+            yield from cnc.send("T5 M6\n", "ms %d" % ms)
+            yield from cnc.send("\x18", "banner")
             rack.look()
-            assert not made.is_on("drawbar") and not made.rig.port.own_outputs
-            yield made.rig.ms(700)  # until the motors have stopped and handlers have ended
-            yield from made.send("$X")
-            yield from made.send("M61 Q%d" % rack.tool)
-            yield from made.send("$J=G91 Z20 F3000")  # off the sensor, if it is there
-            yield from made.until("Idle")
-            yield from made.send("T1 M6")
+            assert not cnc.is_on("drawbar") and not cnc.rig.port.own_outputs
+            yield cnc.rig.ms(700)  # until the motors have stopped and handlers have ended
+            yield from cnc.send("$X")
+            yield from cnc.send("M61 Q%d" % rack.tool)
+            yield from cnc.send("$J=G91 Z20 F3000")  # off the sensor, if it is there
+            yield from cnc.until("Idle")
+            yield from cnc.send("T1 M6")
 
-        made.run(script())
-        assert made.answers[-2:] == ["ok", "ok"], (ms, made.messages)
+        cnc.run(script())
+        assert cnc.answers[-2:] == ["ok", "ok"], (ms, cnc.messages)
         assert rack.tool == 1 and rack.pockets == set(range(2, 9)), (ms, rack.changes)
 
 
 def test_spindle_without_a_tool_does_not_turn(shop: Make) -> None:
-    made = shop("rack", **_RACK)
-    Rack(made)
-    made.say("M3 S100")
-    assert "M3 without a tool" in made.messages and "ALARM:34" in made.answers
-    assert not made.rig.port.spindle_on
+    cnc = shop("rack", **_RACK)
+    Rack(cnc)
+    cnc.say("M3 S100")
+    assert "M3 without a tool" in cnc.messages and "ALARM:34" in cnc.answers
+    assert not cnc.rig.port.spindle_on
 
 
 # A frequency inverter
@@ -1283,7 +1288,7 @@ def test_silent_inverter_stops_the_machine(inverter: Shop) -> None:
 
     inverter.run(script())
     assert "The inverter does not answer" in inverter.messages
-    assert "ALARM:34" in inverter.answers and inverter.place()[0] < 30
+    assert "ALARM:34" in inverter.answers and inverter.position_mm()[0] < 30
     assert not inverter.rig.port.spindle_on
     assert Inverter.last.word == 1, (inverter.messages, inverter.answers)
 
@@ -1298,7 +1303,7 @@ def test_spindle_that_does_not_reach_its_speed_stops_the_job(inverter: Shop) -> 
 
     inverter.run(script())
     assert inverter.messages[0] == "The spindle has 0 rpm and should have 12000"
-    assert inverter.place() == (0, 0, 0)
+    assert inverter.position_mm() == (0, 0, 0)
 
 
 def test_reset_stops_the_inverter(inverter: Shop) -> None:
@@ -1319,16 +1324,16 @@ def test_reset_stops_the_inverter(inverter: Shop) -> None:
 _TURNING: "dict[str, Any]" = {"STEP": (0, 1, 2, 3), "settings": {113: 6000, 123: 500}}
 
 
-def cut(made: Shop, *lines: str) -> "tuple[Shop, list[tuple[float, ...]]]":
+def cut_lines(cnc: Shop, *lines: str) -> "tuple[Shop, list[tuple[float, ...]]]":
     """Run lines; return the machine and its position at the end of each segment."""
     places: "list[tuple[float, ...]]" = []
-    made.rig.engine.trace = lambda start, row: places.append(made.place())
-    assert made.say(*lines) == ["ok"] * len(lines), made.messages
-    return made, places
+    cnc.rig.engine.trace = lambda start, row: places.append(cnc.position_mm())
+    assert cnc.say(*lines) == ["ok"] * len(lines), cnc.messages
+    return cnc, places
 
 
 def knife(shop: Make, *lines: str) -> "tuple[Shop, list[tuple[float, ...]]]":
-    return cut(shop("knife", **_TURNING), *lines)
+    return cut_lines(shop("knife", **_TURNING), *lines)
 
 
 def test_blade_turns_along_its_cut_and_lifts_at_corners(shop: Make) -> None:
@@ -1350,26 +1355,26 @@ def test_blade_turns_along_its_cut_and_lifts_at_corners(shop: Make) -> None:
 def test_curve_is_cut_without_stops_and_lifts(shop: Make) -> None:
     """Eight lines along a parabola, with small angles between them."""
     lines = ["G101 X%d Y%.3f" % (10 * i, i * i / 4) for i in range(1, 9)]
-    made, places = knife(shop, "G0 Z5", *lines)
+    cnc, places = knife(shop, "G0 Z5", *lines)
     # All places from the first one at full depth on.
     cutting = places[next(i for i, place in enumerate(places) if place[2] == -1.5) :]
     # The step engine started for the moves before the cut, and once for all of the cut.
-    assert all(place[2] == -1.5 for place in cutting) and made.rig.engine.starts <= 3
+    assert all(place[2] == -1.5 for place in cutting) and cnc.rig.engine.starts <= 3
     # Direction of the last line: atan((64 - 49) / 4 / 10) in degrees.
-    assert made.place()[3] == pytest.approx(20.56, abs=0.01)
+    assert cnc.position_mm()[3] == pytest.approx(20.56, abs=0.01)
 
 
 def test_knife_reads_inches_and_refuses_relative_places(shop: Make) -> None:
-    made, _ = knife(shop, "G20", "G101 X1", "G100")
-    assert made.place()[0] == pytest.approx(25.4, abs=0.01)
-    assert made.say("G91", "G101 X1") == ["ok", "error:3"]
+    cnc, _ = knife(shop, "G20", "G101 X1", "G100")
+    assert cnc.position_mm()[0] == pytest.approx(25.4, abs=0.01)
+    assert cnc.say("G91", "G101 X1") == ["ok", "error:3"]
 
 
 # An oscillating blade
 
 
-def swinging(shop: Make, *lines: str) -> "tuple[Shop, list[tuple[float, ...]]]":
-    return cut(shop("oscillating", OUTPUTS={"blade": 18}, **_TURNING), *lines)
+def oscillating(shop: Make, *lines: str) -> "tuple[Shop, list[tuple[float, ...]]]":
+    return cut_lines(shop("oscillating", OUTPUTS={"blade": 18}, **_TURNING), *lines)
 
 
 def test_blade_cuts_corners_completely_and_is_out_while_it_turns(shop: Make) -> None:
@@ -1377,7 +1382,7 @@ def test_blade_cuts_corners_completely_and_is_out_while_it_turns(shop: Make) -> 
 
     Each cut begins 0.6 mm before its line and ends 0.6 mm after it.
     """
-    made, places = swinging(shop, "G0 Z5", "G0 X5 Y5", "G111 X25", "G111 Y15", "G110")
+    cnc, places = oscillating(shop, "G0 Z5", "G0 X5 Y5", "G111 X25", "G111 Y15", "G110")
     down = [place for place in places if place[2] == -4]
     first_x = [x for x, y, z, a in down if a == 0]
     second_y = [y for x, y, z, a in down if round(a) == 90]
@@ -1387,7 +1392,7 @@ def test_blade_cuts_corners_completely_and_is_out_while_it_turns(shop: Make) -> 
     assert turning and all(place[2] >= 2.99 for place in turning)
     assert places[-1] == pytest.approx((25, 15.6, 3, 90), abs=0.01)
     # The output of the blade: on at Z5, before it goes in; off at Z3.
-    (_, first_level, on_place), (_, second_level, off_place) = made.book
+    (_, first_level, on_place), (_, second_level, off_place) = cnc.output_changes
     assert (first_level, second_level) == (True, False)
     assert on_place[2] == 5 and off_place[2] == 3
 
@@ -1395,16 +1400,16 @@ def test_blade_cuts_corners_completely_and_is_out_while_it_turns(shop: Make) -> 
 def test_straight_sequence_of_lines_lifts_no_blade(shop: Make) -> None:
     """Five lines in one direction are one cut at Z-4; a reset stops the blade."""
     lines = ["G111 X%d Y%.2f" % (10 * i, 0.2 * i) for i in range(1, 6)]
-    made, places = swinging(shop, "G0 Z5", *lines)
+    cnc, places = oscillating(shop, "G0 Z5", *lines)
     # All places from the first one at full depth on.
     cutting = places[next(i for i, place in enumerate(places) if place[2] == -4) :]
-    assert all(place[2] == -4 for place in cutting) and made.is_on("blade")
-    assert made.say("\x18", "$X") and not made.is_on("blade")
+    assert all(place[2] == -4 for place in cutting) and cnc.is_on("blade")
+    assert cnc.say("\x18", "$X") and not cnc.is_on("blade")
 
 
 def test_blade_refuses_relative_places(shop: Make) -> None:
-    made, _ = swinging(shop, "G90")
-    assert made.say("G91", "G111 X1") == ["ok", "error:3"] and not made.is_on("blade")
+    cnc, _ = oscillating(shop, "G90")
+    assert cnc.say("G91", "G111 X1") == ["ok", "error:3"] and not cnc.is_on("blade")
 
 
 # Outputs and inputs by number
@@ -1417,16 +1422,16 @@ _NUMBERED = {
 
 def test_outputs_switch_with_or_after_the_motion_before_them(shop: Make) -> None:
     """M62 and M63 switch output P during motion, M64 and M65 after it has ended."""
-    made = shop("digital_io", **_NUMBERED)
+    cnc = shop("digital_io", **_NUMBERED)
     lines = ("G1 X5 F1500", "M62 P0", "X10", "M63 P0", "X15", "M64 P1", "X20", "M65 P1")
-    assert made.say(*lines) == ["ok"] * 8
-    assert [(name, on) for name, on, _ in made.book] == [
+    assert cnc.say(*lines) == ["ok"] * 8
+    assert [(name, on) for name, on, _ in cnc.output_changes] == [
         ("air", True),
         ("air", False),
         ("lamp", True),
         ("lamp", False),
     ]
-    x_mm = [place[0] for _, _, place in made.book]
+    x_mm = [place[0] for _, _, place in cnc.output_changes]
     assert x_mm[2:] == [15, 20], "they wait"
     late_mm = [x - wanted for wanted, x in zip((5, 10), x_mm)]
     # Up to 10 ms late, at 1500 mm/min = 25 mm/s.
@@ -1435,33 +1440,33 @@ def test_outputs_switch_with_or_after_the_motion_before_them(shop: Make) -> None
 
 def test_input_is_waited_for_by_its_number(shop: Make) -> None:
     """P0 is "part", P1 is "door". Q is the longest wait in seconds."""
-    made = shop("digital_io", **_NUMBERED)
+    cnc = shop("digital_io", **_NUMBERED)
 
     def script() -> "Iterator[Any]":
         """Wait with M66 for inputs by number, and let them change."""
         # L3 waits until it is closed. It closes after 500 ms, and the answer comes then.
-        yield from made.send("M66 P0 L3 Q2\n", "ms 500")
-        assert made.answers == []
-        made.close("part")
-        yield from made.answered(1)
+        yield from cnc.send("M66 P0 L3 Q2\n", "ms 500")
+        assert cnc.answers == []
+        cnc.close("part")
+        yield from cnc.wait_for_answers(1)
         # L1 waits for the moment of closing. It is closed already, so it must open first.
-        yield from made.send("M66 P0 L1 Q1\n", "ms 100")
-        made.close("part", False)
-        yield made.rig.ms(100)
-        assert made.answers == ["ok"]
-        made.close("part")
-        yield from made.answered(2)
-        yield from made.send("M66 P1")  # L0, the default, does not wait
-        yield from made.send("M66 P1 L3 Q0.5")  # it stays open for longer than Q
+        yield from cnc.send("M66 P0 L1 Q1\n", "ms 100")
+        cnc.close("part", closed=False)
+        yield cnc.rig.ms(100)
+        assert cnc.answers == ["ok"]
+        cnc.close("part")
+        yield from cnc.wait_for_answers(2)
+        yield from cnc.send("M66 P1")  # L0, the default, does not wait
+        yield from cnc.send("M66 P1 L3 Q0.5")  # it stays open for longer than Q
 
-    made.run(script())
-    assert made.answers == ["ok"] * 4
-    assert made.messages == ["M66 P0: 1", "M66 P0: 1", "M66 P1: 0", "M66 P1: nothing for 0.5 s"]
+    cnc.run(script())
+    assert cnc.answers == ["ok"] * 4
+    assert cnc.messages == ["M66 P0: 1", "M66 P0: 1", "M66 P1: 0", "M66 P1: nothing for 0.5 s"]
 
 
 def test_analog_input_is_reported(shop: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     """M66 E1 reads an ADC, a fake here, at a quarter of its range of 65536."""
-    made = shop("digital_io", **_NUMBERED)
+    cnc = shop("digital_io", **_NUMBERED)
     read: list[object] = []  # pins of the ADCs used
 
     class Adc:
@@ -1472,19 +1477,19 @@ def test_analog_input_is_reported(shop: Make, monkeypatch: pytest.MonkeyPatch) -
             return 0x4000
 
     monkeypatch.setattr("machine.ADC", Adc)
-    assert made.say("M66 E1 L0") == ["ok"]
-    assert made.messages == ["M66 E1: 0.250"] and len(read) == 1
-    assert made.say("M66 E2", "M66 E0 P0", "M66 E0 L3 Q1", "M66") == ["error:3"] * 4
-    assert made.messages[1:] == ["P and E go from 0 to 1", *["M66: P, or E with L0"] * 3]
+    assert cnc.say("M66 E1 L0") == ["ok"]
+    assert cnc.messages == ["M66 E1: 0.250"] and len(read) == 1
+    assert cnc.say("M66 E2", "M66 E0 P0", "M66 E0 L3 Q1", "M66") == ["error:3"] * 4
+    assert cnc.messages[1:] == ["P and E go from 0 to 1", *["M66: P, or E with L0"] * 3]
 
 
 def test_pulse_widths_are_set_and_unknown_numbers_refused(shop: Make) -> None:
     """M68 E2 Q0.25 sets output 2 to a duty of 0.25: 16384 of 65536, at 1000 Hz."""
-    made = shop("digital_io", **_NUMBERED)
-    assert made.say("M68 E2 Q0.25") == ["ok"]
-    assert made.rig.port.own_pulses == {2: (1000, 16384)}
-    assert made.say("M64 P3", "M66 P0 L3", "M66 P2", "M64 P0.5") == ["error:3"] * 4
-    assert made.messages[0] == "P and E go from 0 to 2"
+    cnc = shop("digital_io", **_NUMBERED)
+    assert cnc.say("M68 E2 Q0.25") == ["ok"]
+    assert cnc.rig.port.own_pulses == {2: (1000, 16384)}
+    assert cnc.say("M64 P3", "M66 P0 L3", "M66 P2", "M64 P0.5") == ["error:3"] * 4
+    assert cnc.messages[0] == "P and E go from 0 to 2"
 
 
 # A tool table
@@ -1492,41 +1497,41 @@ def test_pulse_widths_are_set_and_unknown_numbers_refused(shop: Make) -> None:
 
 def test_tool_lengths_are_entered_used_and_stored(shop: Make) -> None:
     """G10 L1 enters -12.5 mm and -1 inch. They are valid after power-off; G43 H applies them."""
-    made = shop("tool_table")
-    assert made.say("G10 L1 P2 Z-12.5", "G20", "G10 L1 P3 Z-1", "G21", "G4 P0.1") == ["ok"] * 5
-    made.power_up(made.rig.store)
-    assert made.say("G43 H3", "G0 Z0") == ["ok"] * 2 and made.place()[2] == -25.4
-    made.power_up(made.rig.store)
-    assert made.say("G43 H2 Z-5") == ["ok"] and made.place()[2] == -17.5
+    cnc = shop("tool_table")
+    assert cnc.say("G10 L1 P2 Z-12.5", "G20", "G10 L1 P3 Z-1", "G21", "G4 P0.1") == ["ok"] * 5
+    cnc.power_up(cnc.rig.store)
+    assert cnc.say("G43 H3", "G0 Z0") == ["ok"] * 2 and cnc.position_mm()[2] == -25.4
+    cnc.power_up(cnc.rig.store)
+    assert cnc.say("G43 H2 Z-5") == ["ok"] and cnc.position_mm()[2] == -17.5
     refused = ("G43 H4", "G43", "G10 L1 P0 Z1", "G10 L1 P2", "G10 L3 P1 Z0")
-    assert made.say("G49", *refused, "G10 L20 P1 Z0") == (
+    assert cnc.say("G49", *refused, "G10 L20 P1 Z0") == (
         ["ok"] + ["error:3"] * 3 + ["error:28", "error:20", "ok"]
     )
-    assert made.messages[0] == "tool 4 has no length: G10 L1 P4 Z and the length"
+    assert cnc.messages[0] == "tool 4 has no length: G10 L1 P4 Z and the length"
 
 
 def test_tool_is_changed_once_and_its_length_is_used(shop: Make) -> None:
     """T2 M6 twice asks once. T3 has no length: its change is refused, and tool 2 stays."""
-    made = shop("tool_table")
+    cnc = shop("tool_table")
     offsets: "list[str]" = []  # replies to $#
 
     def script() -> "Iterator[Any]":
         """Change to tool 2, again to it, and to tool 3, which has no length."""
-        yield from made.send("G10 L1 P2 Z-12.5")
-        yield from made.send("M3 S100")
-        yield from made.start("T2 M6")
+        yield from cnc.send("G10 L1 P2 Z-12.5")
+        yield from cnc.send("M3 S100")
+        yield from cnc.start("T2 M6")
         # It holds at the place of the change, with the spindle off.
-        assert made.place() == (3, 3, -1) and made.rig.port.spindle_pwm == 0
-        yield from made.send("~", "ms 100")
-        yield from made.send("T2 M6")  # it is in the spindle already
-        yield from made.send("G53 G0 Z-3")
-        yield from made.send("T3 M6")
-        offsets.extend((yield from made.send("$#")))
+        assert cnc.position_mm() == (3, 3, -1) and cnc.rig.port.spindle_pwm == 0
+        yield from cnc.send("~", "ms 100")
+        yield from cnc.send("T2 M6")  # it is in the spindle already
+        yield from cnc.send("G53 G0 Z-3")
+        yield from cnc.send("T3 M6")
+        offsets.extend((yield from cnc.send("$#")))
 
-    made.run(script())
+    cnc.run(script())
     # Answers to both T2 M6, G53, T3 M6 and $#.
-    assert made.answers[-5:] == ["ok"] * 3 + ["error:3", "ok"] and made.place()[2] == -3
-    assert made.messages == [
+    assert cnc.answers[-5:] == ["ok"] * 3 + ["error:3", "ok"] and cnc.position_mm()[2] == -3
+    assert cnc.messages == [
         "put in tool 2",
         "tool 3 has no length: G10 L1 P3 Z and the length",
     ]
@@ -1543,23 +1548,23 @@ def wavy(x: float, y: float) -> float:
 
 def test_cut_follows_the_map_even_after_power_off(shop: Make) -> None:
     """M118 probes 40 by 20 mm every 10 mm, in inches here. G102 then cuts 0.1 mm into the work."""
-    made = shop("height_map")
-    made.rig.engine.switches.append(Solid(made, lambda x, y, z: z <= wavy(x, y)))
-    assert made.say("G20", "M118 X1.5748 Y0.7874 Q0.3937") == ["ok", "ok"], made.messages
-    assert offset(made, "G54")[2] == pytest.approx(-6, abs=0.03)
-    made.power_up(made.rig.store)
+    cnc = shop("height_map")
+    cnc.rig.engine.switches.append(Solid(cnc, lambda x, y, z: z <= wavy(x, y)))
+    assert cnc.say("G20", "M118 X1.5748 Y0.7874 Q0.3937") == ["ok", "ok"], cnc.messages
+    assert offset(cnc, "G54")[2] == pytest.approx(-6, abs=0.03)
+    cnc.power_up(cnc.rig.store)
     places: "list[tuple[float, ...]]" = []  # at the end of each segment
-    made.rig.engine.trace = lambda start, row: places.append(made.place())
-    assert made.say("G102 Z-0.1 F300", "G102 X40 Y20 F3000", "G102 X0 F3000") == ["ok"] * 3
+    cnc.rig.engine.trace = lambda start, row: places.append(cnc.position_mm())
+    assert cnc.say("G102 Z-0.1 F300", "G102 X40 Y20 F3000", "G102 X0 F3000") == ["ok"] * 3
     # All places from where X has left 0 on.
     cutting = places[next(i for i, place in enumerate(places) if place[0] > 0.1) :]
-    assert len(cutting) > 50 and made.place()[:2] == (0, 20)
+    assert len(cutting) > 50 and cnc.position_mm()[:2] == (0, 20)
     for x, y, z in cutting:
         assert z == pytest.approx(wavy(x, y) - 0.1, abs=0.06)
 
 
 def test_impossible_map_is_refused_with_the_reason(shop: Make) -> None:
-    made = shop("height_map")
+    cnc = shop("height_map")
     lines = ("M118 X10 Y10 Q0", "M118 X10 Y10 Q20", "M118 X90 Y90 Q1", "G102 X5 F100")
-    assert made.say(*lines, "M3 S100", "M118 X10 Y10 Q5") == ["error:3"] * 4 + ["ok", "error:3"]
-    assert made.place() == (0, 0, 0) and len(made.messages) == 5
+    assert cnc.say(*lines, "M3 S100", "M118 X10 Y10 Q5") == ["error:3"] * 4 + ["ok", "error:3"]
+    assert cnc.position_mm() == (0, 0, 0) and len(cnc.messages) == 5

@@ -38,9 +38,9 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Make:
     return make
 
 
-def length(said: "list[str]") -> str:
+def tool_length_line(replies: "list[str]") -> str:
     """Return the line with the tool length, such as [TLO:12.500], of the replies to $#."""
-    return next(line for line in said if line.startswith("[TLO:"))
+    return next(line for line in replies if line.startswith("[TLO:"))
 
 
 # Check mode
@@ -56,21 +56,21 @@ def restore(m): m.set_length(12.5); heard.append(m.state)
 @pytest.mark.parametrize("leave", ["$C\n", "\x18"])
 def test_tool_length_is_restored_after_check_mode(bench: Make, leave: str) -> None:
     """Check mode ends with a reset, which clears the length; on.after_reset sets it again."""
-    made = bench(_LENGTH)
-    said = made.say(*lines("M99", "$C", "G1X1F500"), (leave, "ms 300"), *lines("$#", "G0X1"))
-    assert length(said[4]) == "[TLO:12.500]" and said[5] == ["ok"]
-    assert made.heard == ["Idle"]
+    cnc = bench(_LENGTH)
+    replies = cnc.say(*lines("M99", "$C", "G1X1F500"), (leave, "ms 300"), *lines("$#", "G0X1"))
+    assert tool_length_line(replies[4]) == "[TLO:12.500]" and replies[5] == ["ok"]
+    assert cnc.heard == ["Idle"]
 
 
 def test_tool_length_is_valid_for_the_first_line_after_check_mode(bench: Make) -> None:
-    made = bench(_LENGTH)
-    said = made.say(*lines("$C"), ("$C\n", "banner"), ("$#\n", "ok"))
-    assert length(said[2]) == "[TLO:12.500]"
+    cnc = bench(_LENGTH)
+    replies = cnc.say(*lines("$C"), ("$C\n", "banner"), ("$#\n", "ok"))
+    assert tool_length_line(replies[2]) == "[TLO:12.500]"
 
 
 def test_no_handler_runs_in_check_mode(bench: Make) -> None:
     """Timers, inputs, states, reports, T and M words: all wait until check mode has ended."""
-    made = bench(
+    cnc = bench(
         """
 @every(20)
 def tick(m): heard.append("tick"); m.out("vacuum", 1)
@@ -90,27 +90,27 @@ def tool(m): heard.append(m.tool)
     in_check_mode: list[Any] = []
 
     def forget() -> None:
-        module[made._name].heard.clear()
+        module[cnc._name].heard.clear()
 
-    def see() -> None:
-        in_check_mode.extend(made.heard)
+    def note_heard() -> None:
+        in_check_mode.extend(cnc.heard)
 
-    def close() -> None:
-        made.rig.port.push({"pin_22": True})
+    def close_sensor() -> None:
+        cnc.rig.port.push({"pin_22": True})
 
-    made.say(
+    cnc.say(
         *lines("$C"),
         forget,
-        close,
+        close_sensor,
         *lines("T7", "M3S100", "M100"),
         ("?", "ms 500"),
-        see,
+        note_heard,
         ("$C\n", "ms 300"),
         *lines("M100"),
     )
     assert in_check_mode == []
-    assert True in made.heard, "changes are reported after check mode"
-    assert made.heard[-1] != 7 and 0 in made.heard, "no tool has been selected"
+    assert True in cnc.heard, "changes are reported after check mode"
+    assert cnc.heard[-1] != 7 and 0 in cnc.heard, "no tool has been selected"
 
 
 # After a welcome
@@ -127,8 +127,8 @@ def test_failure_after_a_reset_is_one_alarm_and_the_machine_can_be_unlocked(
 
     body: statement of the handler; events: those that call it.
     """
-    made = bench(f"{events}\ndef a(m): {body}")
-    said = made.say(
+    cnc = bench(f"{events}\ndef a(m): {body}")
+    replies = cnc.say(
         ("", "ms 2000"),
         *lines("$22=0", "$X"),
         ("G1X9F500\n", "ms 500"),
@@ -136,52 +136,52 @@ def test_failure_after_a_reset_is_one_alarm_and_the_machine_can_be_unlocked(
         ("?", "ms 50"),
         *lines("$X", "G0X0"),
     )
-    at_start = (made.greeting + said[0]).count("ALARM:34")
-    after_reset = said[4].count("ALARM:34")
+    at_start = (cnc.greeting + replies[0]).count("ALARM:34")
+    after_reset = replies[4].count("ALARM:34")
     # after_reset is not called at power-up. m.g() works there, but not in the alarm of a reset.
     assert at_start == ("startup" in events and "m.g" not in body)
     assert after_reset == ("stop" not in body), "m.stop() does no more in alarm"
-    assert said[5][0].startswith("<Alarm") and said[6][-1] == said[7][0] == "ok"
+    assert replies[5][0].startswith("<Alarm") and replies[6][-1] == replies[7][0] == "ok"
 
 
 def test_failing_homing_after_a_reset_is_not_repeated(bench: Make) -> None:
     """No limit switch closes: homing fails with one alarm, and $X makes the machine idle."""
-    made = bench("@on.after_reset\ndef a(m): heard.append(1); m.home()")
-    said = made.say(
+    cnc = bench("@on.after_reset\ndef a(m): heard.append(1); m.home()")
+    replies = cnc.say(
         *lines("$22=1", "$X"),
         ("\x18", "ms 120000"),  # enough for homing to search all its travel
         ("?", "ms 50"),
         ("$X\n", "ok"),
         ("?", "ms 50"),
     )
-    assert len([line for line in said[2] if line.startswith("ALARM")]) == 1  # after the reset
-    assert said[3][0].startswith("<Alarm") and said[5][0].startswith("<Idle")
-    assert made.heard == [1]
+    assert len([line for line in replies[2] if line.startswith("ALARM")]) == 1  # after the reset
+    assert replies[3][0].startswith("<Alarm") and replies[5][0].startswith("<Idle")
+    assert cnc.heard == [1]
 
 
 def test_other_handlers_after_a_reset_still_run(bench: Make) -> None:
     """The first handler fails: in the alarm after a reset during motion, m.g() is not allowed."""
-    made = bench(
+    cnc = bench(
         "@on.after_reset\ndef a(m): heard.append('a'); m.g('G21')\n"
         "@on.after_reset\ndef b(m): heard.append('b')\n"
     )
-    made.say(("G1X9F500\n", "ms 500"), ("\x18", "ms 3000"))
-    assert made.heard == ["a", "b"]
+    cnc.say(("G1X9F500\n", "ms 500"), ("\x18", "ms 3000"))
+    assert cnc.heard == ["a", "b"]
 
 
 def test_handler_that_failed_after_a_reset_runs_again_after_the_next(bench: Make) -> None:
     """It fails only the first time; two resets while idle call it twice."""
-    made = bench(
+    cnc = bench(
         "@on.after_reset\ndef a(m):\n    heard.append(m.state)\n    if len(heard) < 2: 1 / 0\n"
     )
-    made.say(("\x18", "ms 2000"), *lines("$X"), ("\x18", "ms 500"))
-    assert made.heard == ["Idle", "Idle"]
+    cnc.say(("\x18", "ms 2000"), *lines("$X"), ("\x18", "ms 500"))
+    assert cnc.heard == ["Idle", "Idle"]
 
 
 def test_second_reset_during_an_after_reset_handler_runs_it_again(bench: Make) -> None:
-    made = bench("@on.after_reset\ndef a(m): heard.append(m.state); m.wait(1)")
-    made.say(("\x18", "ms 300"), ("\x18", "ms 3000"))
-    assert made.heard == ["Idle", "Idle"]
+    cnc = bench("@on.after_reset\ndef a(m): heard.append(m.state); m.wait(1)")
+    cnc.say(("\x18", "ms 300"), ("\x18", "ms 3000"))
+    assert cnc.heard == ["Idle", "Idle"]
 
 
 # sys.exit()
@@ -194,19 +194,19 @@ def test_sys_exit_in_a_handler_is_a_failure_like_others(bench: Make, way: str, e
 
     way: statement that raises; event: decorator of its handler.
     """
-    made = bench(f"@mcode(1000)\ndef on_(m): m.out('vacuum', 1)\n{event}\ndef a(m):\n    {way}")
-    said = made.say(("M3S500\nM100\n", "ms 3000"), *lines("$X"), ("G0X1\n", "idle"))
-    received = made.greeting + said[0]
+    cnc = bench(f"@mcode(1000)\ndef on_(m): m.out('vacuum', 1)\n{event}\ndef a(m):\n    {way}")
+    replies = cnc.say(("M3S500\nM100\n", "ms 3000"), *lines("$X"), ("G0X1\n", "idle"))
+    received = cnc.greeting + replies[0]
     assert "ALARM:34" in received and any("custom_faults" in line for line in received)
-    assert not made.power and made.outputs == 0 and said[-1] == ["ok"] and made.mm[0] == 1
+    assert not cnc.power and cnc.outputs == 0 and replies[-1] == ["ok"] and cnc.mm[0] == 1
 
 
 @pytest.mark.parametrize("way", ["sys.exit()", "raise BaseException('x')"])
 def test_sys_exit_at_import_leaves_the_machine_without_custom_words(bench: Make, way: str) -> None:
-    made = bench(f"@mcode(100)\ndef a(m): pass\n{way}")
-    said = made.say(*lines("M100", "G0X1"))
-    assert any(line.startswith("[MSG:Custom left out: ") for line in made.greeting)
-    assert said == [["error:20"], ["ok"]]
+    cnc = bench(f"@mcode(100)\ndef a(m): pass\n{way}")
+    replies = cnc.say(*lines("M100", "G0X1"))
+    assert any(line.startswith("[MSG:Custom left out: ") for line in cnc.greeting)
+    assert replies == [["error:20"], ["ok"]]
 
 
 def test_sys_exit_anywhere_stops_the_motors_and_is_an_alarm() -> None:
@@ -266,11 +266,11 @@ def test_report_stays_one_line_for_any_returned_value(
 
     field: the end of the report; "": no field is added.
     """
-    made = bench(f"@on.report\ndef r(m): return {returned}")
-    said = made.say(("?", "ms 50"), ("?", "ms 50"), *lines("G0X1"))
-    assert len(said[1]) == 1 and said[1][0].endswith(field or ">") and said[2] == ["ok"]
+    cnc = bench(f"@on.report\ndef r(m): return {returned}")
+    replies = cnc.say(("?", "ms 50"), ("?", "ms 50"), *lines("G0X1"))
+    assert len(replies[1]) == 1 and replies[1][0].endswith(field or ">") and replies[2] == ["ok"]
     # Without a field, at most three | are there; |Ov: is a further one, in some reports only.
-    assert ("|Ov:" in said[1][0]) or field or said[1][0].count("|") <= 3
+    assert ("|Ov:" in replies[1][0]) or field or replies[1][0].count("|") <= 3
 
 
 # Persistent values
@@ -299,26 +299,26 @@ def test_value_that_could_not_be_read_back_is_not_stored(
     bench: Make, name: str, value: str, reason: str
 ) -> None:
     """M101 stores the bad value and fails. M102 reads both values: only M100's is there."""
-    made = bench(_KEEP.format(name=name, value=value))
-    said = made.say(*lines("M100"), ("M101\n", "ms 2000"), *lines("$X", "M102"))
-    assert any(reason in line for line in said[1]) and made.heard == [(1, None)]
-    assert made.rig.store.files["keep"] == ['["a", 1]']
+    cnc = bench(_KEEP.format(name=name, value=value))
+    replies = cnc.say(*lines("M100"), ("M101\n", "ms 2000"), *lines("$X", "M102"))
+    assert any(reason in line for line in replies[1]) and cnc.heard == [(1, None)]
+    assert cnc.rig.store.files["keep"] == ['["a", 1]']
 
 
 def test_true_is_stored_as_1(bench: Make) -> None:
-    made = bench(_KEEP.format(name="'v'", value="True"))
-    made.say(*lines("M101", "M102"), ("", "ms 50"))
-    assert made.rig.store.files["keep"] == ['["v", 1]']
+    cnc = bench(_KEEP.format(name="'v'", value="True"))
+    cnc.say(*lines("M101", "M102"), ("", "ms 50"))
+    assert cnc.rig.store.files["keep"] == ['["v", 1]']
 
 
 def test_damaged_stored_value_does_not_affect_others(bench: Make) -> None:
     """Of six stored lines two are sound. They are read, and the others are dropped at a write."""
-    made = bench(_KEEP.format(name="'v'", value="2"))
+    cnc = bench(_KEEP.format(name="'v'", value="2"))
     damaged = ['["v", nan]', "5", '[["x"], 3]', '["u"', '["a", 8]', '["w", 9]']
-    made.rig.store.files["keep"] = damaged
-    made.say(*lines("M102", "M102", "M101"), ("", "ms 50"))
-    assert made.heard == [(8, None), (8, None)]
-    assert made.rig.store.files["keep"] == ['["a", 8]', '["w", 9]', '["v", 2]']
+    cnc.rig.store.files["keep"] = damaged
+    cnc.say(*lines("M102", "M102", "M101"), ("", "ms 50"))
+    assert cnc.heard == [(8, None), (8, None)]
+    assert cnc.rig.store.files["keep"] == ['["a", 8]', '["w", 9]', '["v", 2]']
 
 
 # Words left out
@@ -329,23 +329,23 @@ def test_word_during_motion_that_was_left_out_is_refused(bench: Make) -> None:
 
     A later M62 is refused, because its sender would take "ok" for done.
     """
-    made = bench(
+    cnc = bench(
         "@mcode(62, 'P', sync=False)\ndef a(m, P):\n    if P == 5: 1 / 0\n    m.out('vacuum', P)\n"
     )
-    said = made.say(("M62P5\n", "ms 2000"), *lines("$X", "M62P1"))
-    assert "ALARM:34" in said[0]
-    assert said[2] == ["[MSG:M62 is disabled until power-up]", _REFUSED] and made.outputs == 0
+    replies = cnc.say(("M62P5\n", "ms 2000"), *lines("$X", "M62P1"))
+    assert "ALARM:34" in replies[0]
+    assert replies[2] == ["[MSG:M62 is disabled until power-up]", _REFUSED] and cnc.outputs == 0
 
 
 def test_word_whose_timer_failed_still_works(bench: Make) -> None:
     """One function is both timer and M100. As a timer it fails: a timer may not move."""
-    made = bench(
+    cnc = bench(
         "@every(20)\n@mcode(100)\n"
         "def a(m):\n    m.g('G91 G0 X3')\n    heard.append(m.target().x)\n"
     )
-    said = made.say(("", "ms 2000"), *lines("$X", "M100"))
-    assert "ALARM:34" in made.greeting + said[0]
-    assert said[2] == ["ok"] and made.heard == [3.0]
+    replies = cnc.say(("", "ms 2000"), *lines("$X", "M100"))
+    assert "ALARM:34" in cnc.greeting + replies[0]
+    assert replies[2] == ["ok"] and cnc.heard == [3.0]
 
 
 @pytest.mark.parametrize(
@@ -369,23 +369,23 @@ def test_file_with_one_mistake_is_left_out_completely(bench: Make, text: str) ->
     others = (
         "@on.spindle\ndef s(m, *_): heard.append('s')\n@every(20)\ndef e(m): heard.append(1)\n"
     )
-    made = bench(others + text)
-    said = made.say(*lines("M100", "G81", "M101", "M6", "M3S100"), ("", "ms 100"))
-    assert [answer[-1] for answer in said[:4]] == ["error:20"] * 4
-    assert len([line for line in made.greeting if "Custom left out: " in line]) == 1
-    assert made._name not in sys.modules or made.heard == []
+    cnc = bench(others + text)
+    replies = cnc.say(*lines("M100", "G81", "M101", "M6", "M3S100"), ("", "ms 100"))
+    assert [answer[-1] for answer in replies[:4]] == ["error:20"] * 4
+    assert len([line for line in cnc.greeting if "Custom left out: " in line]) == 1
+    assert cnc._name not in sys.modules or cnc.heard == []
 
 
 def test_missing_parentheses_are_reported_with_the_right_form(bench: Make) -> None:
-    made = bench("@mcode\ndef a(m): pass\n@mcode(100)\ndef b(m): pass")
-    made.say(*lines("G0X1"))
-    assert any("write @mcode(100)" in line for line in made.greeting)
+    cnc = bench("@mcode\ndef a(m): pass\n@mcode(100)\ndef b(m): pass")
+    cnc.say(*lines("G0X1"))
+    assert any("write @mcode(100)" in line for line in cnc.greeting)
 
 
 def test_pulses_per_second_are_rounded_from_a_word(bench: Make) -> None:
-    made = bench("@mcode(100, 'Q')\ndef a(m, Q): m.pwm('vacuum', 0.5, hz=Q)")
+    cnc = bench("@mcode(100, 'Q')\ndef a(m, Q): m.pwm('vacuum', 0.5, hz=Q)")
     pulses: list[Any] = []
-    made.say(*lines("M100Q499.6"), lambda: pulses.append(dict(made.rig.port.own_pulses)))
+    cnc.say(*lines("M100Q499.6"), lambda: pulses.append(dict(cnc.rig.port.own_pulses)))
     assert pulses == [{0: (500, 32768)}] and isinstance(pulses[0][0][0], int)
 
 
@@ -404,27 +404,27 @@ def test_no_line_is_lost_to_a_jog(bench: Make, at_ms: int) -> None:
 
     The first 500 ms are a dwell, in which nothing moves.
     """
-    made = bench(_JOG)
+    cnc = bench(_JOG)
 
-    def close() -> None:
-        made.rig.port.push({"pin_22": True})
+    def close_sensor() -> None:
+        cnc.rig.port.push({"pin_22": True})
 
     program = "G4P0.5\nG1X5F500\nG1X3\nM5\n"
-    said = made.say((program, f"ms {at_ms}"), close, ("", "ms 4000"))
-    assert [*said[0], *said[1]] == ["ok"] * 4 and made.mm[0] == 3
-    assert made.heard == [False]
+    replies = cnc.say((program, f"ms {at_ms}"), close_sensor, ("", "ms 4000"))
+    assert [*replies[0], *replies[1]] == ["ok"] * 4 and cnc.mm[0] == 3
+    assert cnc.heard == [False]
 
 
 def test_jog_while_idle_starts_at_once(bench: Make) -> None:
-    made = bench(_JOG)
-    made.say(("G0X2\n", "idle"), lambda: made.rig.port.push({"pin_22": True}), ("", "ms 2000"))
-    assert made.heard == [True] and made.mm[0] == 3
+    cnc = bench(_JOG)
+    cnc.say(("G0X2\n", "idle"), lambda: cnc.rig.port.push({"pin_22": True}), ("", "ms 2000"))
+    assert cnc.heard == [True] and cnc.mm[0] == 3
 
 
 def test_received_line_cancels_a_pending_jog(bench: Make) -> None:
-    made = bench('@mcode(100)\ndef a(m): heard.append(m.jog("x", 9, 500))')
-    said = made.say(("M100\nG0Y1\n", "idle"), *lines("M100"), ("", "ms 3000"))
-    assert said[0] == ["ok", "ok"] and made.heard == [False, True] and made.mm[:2] == [9, 1]
+    cnc = bench('@mcode(100)\ndef a(m): heard.append(m.jog("x", 9, 500))')
+    replies = cnc.say(("M100\nG0Y1\n", "idle"), *lines("M100"), ("", "ms 3000"))
+    assert replies[0] == ["ok", "ok"] and cnc.heard == [False, True] and cnc.mm[:2] == [9, 1]
 
 
 # Findings of `custom check`

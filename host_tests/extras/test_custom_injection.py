@@ -77,7 +77,7 @@ _LINES = (
 )
 
 
-_LOOK = MachineApi.check_stopped  # each call of m begins or ends with this
+_CHECK_STOPPED = MachineApi.check_stopped  # each call of m begins or ends with this
 
 
 class Injected(Exception):
@@ -94,7 +94,7 @@ def _has_no_memory(_session: "Session", _operator: MachineApi) -> None:
 
 def _is_reset(session: "Session", operator: MachineApi) -> None:
     session.rig.controller.motor_control.reset()
-    _LOOK(operator)
+    _CHECK_STOPPED(operator)
 
 
 def _swallows_the_reset(session: "Session", operator: MachineApi) -> None:
@@ -104,7 +104,7 @@ def _swallows_the_reset(session: "Session", operator: MachineApi) -> None:
 
 def _is_held(session: "Session", operator: MachineApi) -> None:
     session.rig.controller.state.post(st.FEED_HOLD)
-    _LOOK(operator)
+    _CHECK_STOPPED(operator)
 
 
 def _loops(_session: "Session", operator: MachineApi) -> None:
@@ -114,12 +114,12 @@ def _loops(_session: "Session", operator: MachineApi) -> None:
 
 def _is_slow(session: "Session", operator: MachineApi) -> None:
     session.rig.pass_time(session.rig.ms(60))
-    _LOOK(operator)
+    _CHECK_STOPPED(operator)
 
 
 def _is_cut_short(session: "Session", operator: MachineApi) -> None:
     session.file.write_text(_CUSTOM[: session.random.randrange(len(_CUSTOM))])
-    _LOOK(operator)
+    _CHECK_STOPPED(operator)
 
 
 # None: power fails.
@@ -130,24 +130,28 @@ _KINDS: "tuple[Callable[[Session, MachineApi], None] | None, ...]" = (
 _FAILS = (_raises, _has_no_memory)
 
 
-class Shelf:
-    """A Store on a flash chip. Power fails in the save of persistent values number `at`.
+class FaultyStore:
+    """A Store on a flash chip. Power fails in the save of persistent values number `fault_at`.
 
     saves: number of saves of persistent values so far. They have one value, "count".
     """
 
-    def __init__(self, rig: Rig, monkeypatch: pytest.MonkeyPatch, at: int, random: Random) -> None:
-        """Start with the chip of _image(). at: 0: power never fails."""
+    def __init__(
+        self, rig: Rig, monkeypatch: pytest.MonkeyPatch, fault_at: int, random: Random
+    ) -> None:
+        """Start with the chip of _initial_flash(). fault_at 0: power never fails."""
         self.saves = 0
-        self.may_hold = {0}  # counts that may be stored; after a power failure, the old or the new
+        self.possible_counts = {
+            0
+        }  # counts that may be stored; after a power failure, the old or the new
         self.has_failed = False  # power
         self._rig = rig
         self._monkeypatch = monkeypatch
-        self._at = at
+        self._fault_at = fault_at
         self._random = random
-        self._put_in(_image())
+        self._use_chip(_initial_flash())
 
-    def _put_in(self, image: bytes) -> None:
+    def _use_chip(self, image: bytes) -> None:
         """Replace the chip by one with these bytes, and read its files."""
         self._flash = Flash(image)
         self._store = attach(self._monkeypatch, self._flash)
@@ -157,7 +161,7 @@ class Shelf:
         return self._store.load(name)
 
     def save(self, name: str, lines: "Iterable[str]") -> None:
-        """Save a file. At save `at` of "keep", power fails after a random byte: PowerOff."""
+        """Save a file. At save `fault_at` of "keep", power fails after a random byte: PowerOff."""
         kept = list(lines)
         before = bytes(self._flash.buffer)
         self._flash.log.clear()
@@ -166,21 +170,21 @@ class Shelf:
             return
         count = {value for _, value in map(json.loads, kept)}  # a set with the one value
         self.saves += 1
-        if self.saves != self._at:
-            self.may_hold = count
+        if self.saves != self._fault_at:
+            self.possible_counts = count
             return
-        self.may_hold |= count
+        self.possible_counts |= count
         log = self._flash.log  # operations of this save: (address, bytes)
         complete = self._random.randrange(len(log))
         bytes_of_next = self._random.randrange(len(log[complete][1]) + 1)
-        self._put_in(cut(before, log, complete, bytes_of_next))
+        self._use_chip(cut(before, log, complete, bytes_of_next))
         self.has_failed = True
         self._rig.cycle_power()
         raise PowerOff
 
 
 @lru_cache
-def _image() -> bytes:
+def _initial_flash() -> bytes:
     """Return a chip with the simulator's settings and higher rates and accelerations."""
     kept = {name: list(lines) for name, lines in factory_store(load_board("sim")).files.items()}
     rates = {110: 3000, 111: 3000, 112: 3000, 120: 500, 121: 500, 122: 500}
@@ -195,13 +199,18 @@ def _image() -> bytes:
 
 
 class Session:
-    """A session with a fault at the call, or the save, number `at`.
+    """A session with a fault at the call, or the save, number `fault_at`.
 
-    at 0: no fault; calls and saves are counted.
+    fault_at 0: no fault; calls and saves are counted.
     """
 
     def __init__(
-        self, board: ModuleType, monkeypatch: pytest.MonkeyPatch, file: Path, seed: int, at: int
+        self,
+        board: ModuleType,
+        monkeypatch: pytest.MonkeyPatch,
+        file: Path,
+        seed: int,
+        fault_at: int,
     ) -> None:
         """Power up with _CUSTOM in this file. seed: chooses the kind of fault and its details."""
         self.random = Random(seed)
@@ -209,24 +218,24 @@ class Session:
         self.file = file
         file.write_text(_CUSTOM)
         self.rig = Rig(board)
-        self.rig.store = self.shelf = Shelf(
-            self.rig, monkeypatch, 0 if self.inject else at, self.random
+        self.rig.store = self.store_with_fault = FaultyStore(
+            self.rig, monkeypatch, 0 if self.inject else fault_at, self.random
         )
         self.sender = Sender(self.rig)
         self.sender.allow(60_000)
         self.calls = 0  # of methods of m by handlers
         self.is_injected = False
-        self._is_done = False  # all lines are played: nothing is injected any more
-        self._call = at if self.inject else 0
-        self.said: list[str] = []  # lines received
+        self._all_sent = False  # all lines are played: nothing is injected any more
+        self._call = fault_at if self.inject else 0
+        self.output: list[str] = []  # lines received
 
     def play(self, monkeypatch: pytest.MonkeyPatch) -> None:
         """Play from power-up to a last move after all others, and check all laws."""
 
-        def look(operator: MachineApi) -> None:
+        def check_and_inject(operator: MachineApi) -> None:
             """Count this call, and inject the fault if it is the chosen one."""
             caller_file = sys._getframe(1).f_code.co_filename
-            if not self._is_done and not caller_file.endswith(
+            if not self._all_sent and not caller_file.endswith(
                 "runner.py"
             ):  # only calls of handlers count
                 self.calls += 1
@@ -234,10 +243,10 @@ class Session:
                     self.is_injected = True
                     self.inject(self, operator)
                     return
-            _LOOK(operator)
+            _CHECK_STOPPED(operator)
 
         with monkeypatch.context() as patched:
-            patched.setattr(MachineApi, "check_stopped", look)
+            patched.setattr(MachineApi, "check_stopped", check_and_inject)
             self.rig.run(self._script())
 
     def _script(self) -> "Iterator[Any]":
@@ -245,28 +254,30 @@ class Session:
         wait = self.sender.wait
         yield from wait("banner", "")
         for line in _LINES:
-            yield from self._line(line)
-            if self._is_over():
+            yield from self._send_line(line)
+            if self._has_stopped():
                 break
-        if self._is_over():
+        if self._has_stopped():
             yield from wait("ms 1500", "")
-        self._is_done = True
+        self._all_sent = True
         yield from wait("ms 600", "\x18")
-        self.said += self.sender.take()
+        self.output += self.sender.take()
         port = self.rig.port
         assert (port.own_outputs, port.spindle_pwm) == (0, 0), "an output is on after a reset"
-        yield from self._go_on()
+        yield from self._check_next_move()
         yield from wait("ms 100", "M102\n")  # reports the stored count
-        assert self.sender.take() in [[f"[MSG:kept {n}]", "ok"] for n in self.shelf.may_hold]
+        assert self.sender.take() in [
+            [f"[MSG:kept {n}]", "ok"] for n in self.store_with_fault.possible_counts
+        ]
         if self.inject is _is_cut_short:
             self.rig.cycle_power()
             yield from wait("banner", "")
             yield from wait("ms 500", "$X\nG91G1X0.2F3000\n")  # the truncated file may stop this
             yield from wait("ms 600", "\x18")
-            self.said += self.sender.take()
-            yield from self._go_on()
+            self.output += self.sender.take()
+            yield from self._check_next_move()
 
-    def _go_on(self) -> "Iterator[Any]":
+    def _check_next_move(self) -> "Iterator[Any]":
         """Check that a move is complete, and that its end is reported."""
         wait = self.sender.wait
         yield from wait("ms 100", "$X\n")
@@ -281,29 +292,29 @@ class Session:
         made_mm = [step / _STEPS_PER_MM for step in self._steps()]
         assert reported_mm == pytest.approx(made_mm, abs=0.0011), "the reported position is wrong"
 
-    def _line(self, line: str) -> "Iterator[Any]":
+    def _send_line(self, line: str) -> "Iterator[Any]":
         """Send a line, give it 400 ms, and end a hold; collect the replies."""
         try:
             yield from self.sender.wait("ms 400", line + "\n")
             if self.rig.controller.state.run == st.HOLD:
                 yield from self.sender.wait("ms 400", "~")
         except TooLong:
-            raise AssertionError(f"{line} does not end: {self.said}") from None
-        self.said += self.sender.take()
+            raise AssertionError(f"{line} does not end: {self.output}") from None
+        self.output += self.sender.take()
 
-    def look_at_words(self) -> None:
+    def check_messages(self) -> None:
         """Check that a failure was reported with file and line, and a slow handler by name."""
-        messages = [line for line in self.said if self.file.name in line]
+        messages = [line for line in self.output if self.file.name in line]
         if self.inject in _FAILS:
             assert any(f"{self.file.name}, line " in line for line in messages), "no file and line"
-            assert not [line for line in self.said if line.startswith("error:")]
+            assert not [line for line in self.output if line.startswith("error:")]
         if self.inject is _is_slow:
-            assert any("ms without calling" in line for line in self.said)
+            assert any("ms without calling" in line for line in self.output)
         if self.inject is _is_cut_short and not _is_python(self.file.read_text()):
             assert messages, "a file that cannot be read"
 
-    def _is_over(self) -> bool:
-        return any(text.startswith(("ALARM", "Grbl")) for text in self.said[3:])
+    def _has_stopped(self) -> bool:
+        return any(text.startswith(("ALARM", "Grbl")) for text in self.output[3:])
 
     def _steps(self) -> "list[int]":
         self.rig.engine.position(self.rig.scratch)
@@ -341,17 +352,19 @@ def test_no_step_is_lost_and_every_fault_is_reported(
     Each injects one fault at a random call of m, or power fails in a random save.
     """
     file = tmp_path / f"{board.CUSTOM}.py"
-    faultless = Session(board, monkeypatch, file, seed=0, at=0)
+    faultless = Session(board, monkeypatch, file, seed=0, fault_at=0)
     faultless.play(monkeypatch)
-    assert faultless.calls > 100 and not any("ALARM" in line for line in faultless.said)
-    assert faultless.shelf.saves == 2  # one for each M100
+    assert faultless.calls > 100 and not any("ALARM" in line for line in faultless.output)
+    assert faultless.store_with_fault.saves == 2  # one for each M100
     for number in range(part, _SESSIONS, _PARTS):
         is_call = _KINDS[number % len(_KINDS)] is not None
-        at = Random(number).randint(1, faultless.calls if is_call else faultless.shelf.saves)
-        session = Session(board, monkeypatch, file, seed=number, at=at)
+        fault_at = Random(number).randint(
+            1, faultless.calls if is_call else faultless.store_with_fault.saves
+        )
+        session = Session(board, monkeypatch, file, seed=number, fault_at=fault_at)
         try:
             session.play(monkeypatch)
-            assert session.is_injected or session.shelf.has_failed
-            session.look_at_words()
+            assert session.is_injected or session.store_with_fault.has_failed
+            session.check_messages()
         except (AssertionError, TooLong) as failed:
-            raise AssertionError(f"session {number}: {failed!r} {session.said}") from failed
+            raise AssertionError(f"session {number}: {failed!r} {session.output}") from failed

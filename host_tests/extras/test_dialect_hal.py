@@ -32,9 +32,9 @@ _PATIENCE_MS = 600_000  # limit of all waits
 
 
 def board(**options: Any) -> ModuleType:
-    made = ModuleType("hal")
-    vars(made).update(vars(load_board("sim_hal")), **options)
-    return made
+    module = ModuleType("hal")
+    vars(module).update(vars(load_board("sim_hal")), **options)
+    return module
 
 
 class Talk:
@@ -502,19 +502,19 @@ def test_build_for_this_dialect_contains_the_texts(monkeypatch: Any) -> None:
     monkeypatch.setattr(build, "compile_all", lambda *_: build.Build("armv6m"))
     pico = Path(__file__).parents[2] / "boards" / "rpi_pico.py"
     monkeypatch.setattr(build, "load_for_build", lambda file: vary(load_board("rpi_pico")))
-    made = build.for_board(pico)
-    assert made.files["hal.txt"] and "hal.txt" in made.own
+    result = build.for_board(pico)
+    assert result.files["hal.txt"] and "hal.txt" in result.own
 
 
 def vary(pico: Any) -> ModuleType:
-    made = ModuleType("pico")
-    vars(made).update(vars(pico), DIALECT="hal")
-    return made
+    module = ModuleType("pico")
+    vars(module).update(vars(pico), DIALECT="hal")
+    return module
 
 
 def test_doctor_recognises_our_firmware() -> None:
-    found = Firmware.read(["[VER:1.1f.20261121:GrblHAL pio 400000Hz mine]", "[OPT:V,15,128,3,0]"])
-    assert checkup.is_ours(found) and not checkup.is_relative(found)
+    ours = Firmware.read(["[VER:1.1f.20261121:GrblHAL pio 400000Hz mine]", "[OPT:V,15,128,3,0]"])
+    assert checkup.is_ours(ours) and not checkup.is_relative(ours)
     theirs = Firmware.read(["[VER:1.1f.20261121:]", "[FIRMWARE:grblHAL]"])
     assert not checkup.is_ours(theirs)
 

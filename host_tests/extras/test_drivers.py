@@ -22,42 +22,42 @@ _HOMING = {22: 1, 24: 300, 25: 1500, 26: 5, 27: 1, **{110 + i: 3000.0 for i in r
 
 def board(name: str = "sim_drivers", **options: Any) -> ModuleType:
     """Return a board file with other options."""
-    made = ModuleType("board")
-    made.__dict__.update({**vars(load_board(name)), **options})
-    return made
+    module = ModuleType("board")
+    module.__dict__.update({**vars(load_board(name)), **options})
+    return module
 
 
-def machine(settings: "dict[int, float] | None" = None, **options: Any) -> Machine:
+def make_machine(settings: "dict[int, float] | None" = None, **options: Any) -> Machine:
     return Machine(settings or {}, board(**options))
 
 
-def driver(on: Machine, motor: int = 0) -> model.Driver:
-    return on.rig.drivers.drivers[motor]
+def driver(machine: Machine, motor: int = 0) -> model.Driver:
+    return machine.rig.drivers.drivers[motor]
 
 
-def talk(on: Machine, script: "Sequence[object]") -> "list[str]":
+def run_script(machine: Machine, script: "Sequence[object]") -> "list[str]":
     """Send lines, let seconds pass and call functions, in order; return the output.
 
-    script: text: a line, followed by 300 ms; float: seconds to wait; function: called with `on`.
+    script: text: a line, then 300 ms; float: seconds to wait; function: called with the machine.
     """
-    said: "list[str]" = []
+    output: "list[str]" = []
 
     def play() -> "Iterator[Any]":
         """Go through the script; see talk()."""
-        yield from on.start()
+        yield from machine.start()
         for each in script:
             if isinstance(each, str):
-                on.rig.link.send(f"{each}\n".encode())
-                yield on.rig.ms(300)
+                machine.rig.link.send(f"{each}\n".encode())
+                yield machine.rig.ms(300)
             elif isinstance(each, float):
-                yield on.rig.ms(each * 1000)
+                yield machine.rig.ms(each * 1000)
             elif callable(each):
-                each(on)
-        on.sender.poll()
-        said.extend(on.take())
+                each(machine)
+        machine.sender.poll()
+        output.extend(machine.take())
 
-    on.run(play())
-    return said
+    machine.run(play())
+    return output
 
 
 # Set-up
@@ -69,15 +69,15 @@ def test_each_driver_is_set_up_before_anything_moves() -> None:
     scale, hold: of a full scale of 32; microsteps: the register's code, 4 for 16 and 2 for 64.
     """
     # Y: 800 mA, 25 % of it in hold; Z: 64 microsteps, spreadCycle (bit 2). Defaults: 500 mA, 50 %.
-    on = machine({141: 800.0, 152: 64.0, 211: 25.0, 810: 4.0})
-    on.play(["G1X1Y1Z1F100"])
-    assert on.reported() == [1, 1, 1]
+    machine = make_machine({141: 800.0, 152: 64.0, 211: 25.0, 810: 4.0})
+    machine.play(["G1X1Y1Z1F100"])
+    assert machine.reported() == [1, 1, 1]
     for motor, scale, hold, microsteps, spread in (
         (0, 16, 8, 4, 0),  # full scale 979 mA: 500 / 979 * 32 = 16
         (1, 26, 7, 4, 0),
         (2, 16, 8, 2, 4),
     ):
-        registers = driver(on, motor).registers
+        registers = driver(machine, motor).registers
         assert registers[model.IHOLD_IRUN] & 0xFFFF == (scale - 1) << 8 | hold - 1, motor
         assert registers[model.CHOPCONF] >> 24 & 15 == microsteps
         # The chopper's times are the manufacturer's.
@@ -93,9 +93,9 @@ def test_current_is_within_a_step_of_the_setting(milliamps: float, hold: int) ->
 
     hold: percent of the run current, $210.
     """
-    on = machine({140: milliamps, 210: float(hold)})
-    on.play([])
-    registers = driver(on).registers
+    machine = make_machine({140: milliamps, 210: float(hold)})
+    machine.play([])
+    registers = driver(machine).registers
     full_scale_v = 0.18 if registers[model.CHOPCONF] >> 17 & 1 else 0.325
     # The data sheet's formula for RMS current: 0.11 ohm and 0.02 ohm within the chip.
     step_ma = full_scale_v / 0.13 / 2**0.5 / 32 * 1000
@@ -105,187 +105,189 @@ def test_current_is_within_a_step_of_the_setting(milliamps: float, hold: int) ->
 
 
 def test_driver_off_by_default_is_switched_on() -> None:
-    on = machine()
-    driver(on).registers[model.CHOPCONF] &= ~15  # TOFF: 0 is off
-    on.play(["G1X1F100"])
-    assert driver(on).registers[model.CHOPCONF] & 15 == 3 and on.reported()[0] == 1
+    machine = make_machine()
+    driver(machine).registers[model.CHOPCONF] &= ~15  # TOFF: 0 is off
+    machine.play(["G1X1F100"])
+    assert driver(machine).registers[model.CHOPCONF] & 15 == 3 and machine.reported()[0] == 1
 
 
 def test_changed_setting_reaches_its_driver() -> None:
-    on = machine()
-    on.play(["$150=32", "G1X1F100"])
-    assert driver(on).registers[model.CHOPCONF] >> 24 & 15 == 3
+    machine = make_machine()
+    machine.play(["$150=32", "G1X1F100"])
+    assert driver(machine).registers[model.CHOPCONF] >> 24 & 15 == 3
 
 
 def test_impossible_setting_is_refused_and_nothing_changes() -> None:
     """Currents, microsteps, hold percent and stall threshold out of range; $155 has no motor."""
     lines = ["$140=0", "$141=1800", "$150=10", "$152=512", "$210=101", "$200=256", "$155=3"]
-    on = machine()
-    on.play([*lines, "$$"])
-    assert on.received.count("error:3") == len(lines)
-    assert {"$141=500.000", "$152=16.000", "$210=50.000"} <= set(on.received)
+    machine = make_machine()
+    machine.play([*lines, "$$"])
+    assert machine.received.count("error:3") == len(lines)
+    assert {"$141=500.000", "$152=16.000", "$210=50.000"} <= set(machine.received)
 
 
 def test_reported_settings_are_accepted_again() -> None:
     """The reply to $$ is sent back line by line, as senders do to restore settings."""
-    on = machine({140: 700.0, 150: 64.0})
-    on.play(["$$"])
-    lines = [line for line in on.received if line.startswith("$")]
-    on.play(lines)
-    assert not any("error" in line for line in on.received)
+    machine = make_machine({140: 700.0, 150: 64.0})
+    machine.play(["$$"])
+    lines = [line for line in machine.received if line.startswith("$")]
+    machine.play(lines)
+    assert not any("error" in line for line in machine.received)
 
 
 def test_excluded_driver_is_not_addressed() -> None:
     """$338 is the mask of motors with a driver to set up: 5 excludes Y, which has no supply."""
-    on = machine({338: 5.0})
-    driver(on, 1).has_supply = False
-    on.play(["G1Y2F600"])
-    assert on.reported() == [0, 2, 0]
-    assert model.IHOLD_IRUN not in driver(on, 1).registers
+    machine = make_machine({338: 5.0})
+    driver(machine, 1).has_supply = False
+    machine.play(["G1Y2F600"])
+    assert machine.reported() == [0, 2, 0]
+    assert model.IHOLD_IRUN not in driver(machine, 1).registers
 
 
 def test_wire_is_silent_during_motion() -> None:
     """Datagrams are sent while idle only, because they take time and interrupt step pulses."""
-    on = machine(_HOMING)
-    fit(on)  # switches for $H
-    on.play(["$H", "G1X-5F900", "G4P0.2", "G2X-10I-2.5", "$J=G91X-3F600", "G1Y-5", "$TMC"])
-    assert on.rig.drivers.datagrams > 50
-    assert on.rig.drivers.in_motion == 0  # datagrams during motion
+    machine = make_machine(_HOMING)
+    add_walls(machine)  # switches for $H
+    machine.play(["$H", "G1X-5F900", "G4P0.2", "G2X-10I-2.5", "$J=G91X-3F600", "G1Y-5", "$TMC"])
+    assert machine.rig.drivers.datagrams > 50
+    assert machine.rig.drivers.in_motion == 0  # datagrams during motion
 
 
 # Faults
 
 
-def _dead(on: Machine) -> None:
-    driver(on, 1).has_supply = False
+def _without_supply(machine: Machine) -> None:
+    driver(machine, 1).has_supply = False
 
 
-def _broken(on: Machine) -> None:
-    on.rig.drivers.is_broken = True
+def _cut_wire(machine: Machine) -> None:
+    machine.rig.drivers.is_broken = True
 
 
-def _spoilt(on: Machine) -> None:
-    on.rig.drivers.spoil = lambda answer: answer[:-1] + bytes((answer[-1] ^ 1,))
+def _wrong_checksum(machine: Machine) -> None:
+    machine.rig.drivers.spoil = lambda answer: answer[:-1] + bytes((answer[-1] ^ 1,))
 
 
-def _short(on: Machine) -> None:
-    on.rig.drivers.spoil = lambda answer: answer[:5]
+def _short_answer(machine: Machine) -> None:
+    machine.rig.drivers.spoil = lambda answer: answer[:5]
 
 
-def _another(on: Machine) -> None:
-    on.rig.drivers.spoil = lambda answer: answer[:2] + b"\x7f" + answer[3:]
+def _wrong_register(machine: Machine) -> None:
+    machine.rig.drivers.spoil = lambda answer: answer[:2] + b"\x7f" + answer[3:]
 
 
-def _hot(on: Machine) -> None:
-    driver(on, 1).registers[model.DRV_STATUS] |= 3
+def _hot(machine: Machine) -> None:
+    driver(machine, 1).registers[model.DRV_STATUS] |= 3
 
 
-def _grounded(on: Machine) -> None:
-    driver(on, 1).registers[model.DRV_STATUS] |= 8
+def _grounded(machine: Machine) -> None:
+    driver(machine, 1).registers[model.DRV_STATUS] |= 8
 
 
-def _shorted(on: Machine) -> None:
-    driver(on, 1).registers[model.DRV_STATUS] |= 0x20
+def _shorted(machine: Machine) -> None:
+    driver(machine, 1).registers[model.DRV_STATUS] |= 0x20
 
 
-def _weak(on: Machine) -> None:
-    driver(on, 1).registers[model.GSTAT] |= 4
-    driver(on, 1).stuck = 4
+def _low_voltage(machine: Machine) -> None:
+    driver(machine, 1).registers[model.GSTAT] |= 4
+    driver(machine, 1).stuck = 4
 
 
-def _again(on: Machine) -> None:
-    driver(on, 1).switch_on()
+def _supply_failure(machine: Machine) -> None:
+    driver(machine, 1).switch_on()
 
 
-_TROUBLES: "list[tuple[Callable[[Machine], None], str]]" = [
-    (_dead, "Y: no answer"),
-    (_broken, "no echo: its serial wire is cut"),
-    (_spoilt, "a corrupted answer"),
-    (_short, "no answer"),
-    (_another, "a corrupted answer"),
+_FAULTS: "list[tuple[Callable[[Machine], None], str]]" = [
+    (_without_supply, "Y: no answer"),
+    (_cut_wire, "no echo: its serial wire is cut"),
+    (_wrong_checksum, "a corrupted answer"),
+    (_short_answer, "no answer"),
+    (_wrong_register, "a corrupted answer"),
     (_hot, "Y: too hot"),
     (_grounded, "Y: short circuit to ground"),
     (_shorted, "Y: short circuit to supply"),
-    (_weak, "Y: its supply voltage is too low"),
-    (_again, "Y: its supply has failed"),
+    (_low_voltage, "Y: its supply voltage is too low"),
+    (_supply_failure, "Y: its supply has failed"),
 ]
 
 
-@pytest.mark.parametrize(("trouble", "words"), _TROUBLES)
+@pytest.mark.parametrize(("trouble", "words"), _FAULTS)
 def test_fault_while_idle_is_an_alarm_reported_once(
     trouble: "Callable[[Machine], None]", words: str
 ) -> None:
     """trouble: causes the fault at Y's driver, or on the wire to all; words: of its message."""
-    on = machine()
-    said = talk(on, ["G1X1F600", 1.0, trouble, 2.0])
-    assert said[0] == "ok"
-    assert any(words in line for line in said), said
-    assert said.count("ALARM:35") == 1
-    assert sum(words in line for line in said) <= 3  # once for each driver that has it
+    machine = make_machine()
+    output = run_script(machine, ["G1X1F600", 1.0, trouble, 2.0])
+    assert output[0] == "ok"
+    assert any(words in line for line in output), output
+    assert output.count("ALARM:35") == 1
+    assert sum(words in line for line in output) <= 3  # once for each driver that has it
 
 
-@pytest.mark.parametrize(("trouble", "words"), _TROUBLES[:9])
+@pytest.mark.parametrize(("trouble", "words"), _FAULTS[:9])
 def test_nothing_moves_during_a_fault(trouble: "Callable[[Machine], None]", words: str) -> None:
     """The fault exists from power-up. Neither a move, a jog, probing nor homing starts."""
-    on = machine(_HOMING)
-    trouble(on)
+    machine = make_machine(_HOMING)
+    trouble(machine)
     for line in ("G1X1F600", "$J=G91X1F600", "G38.3X2F100", "$H"):
-        said = talk(on, ["$X", 0.5, line, 1.0])
-        assert any(words in message for message in said), (line, said)
-        assert "ALARM:35" in said, line
-        assert on.physical() == [0, 0, 0]
+        output = run_script(machine, ["$X", 0.5, line, 1.0])
+        assert any(words in message for message in output), (line, output)
+        assert "ALARM:35" in output, line
+        assert machine.physical() == [0, 0, 0]
 
 
 def test_supply_switched_on_later_is_no_alarm() -> None:
     """Drivers do not answer without the motors' supply. At power-up that is only a message."""
-    on = machine()
-    for chip in on.rig.drivers.drivers:
+    machine = make_machine()
+    for chip in machine.rig.drivers.drivers:
         chip.has_supply = False
 
-    def supply(on: Machine) -> None:
-        for chip in on.rig.drivers.drivers:
+    def supply(machine: Machine) -> None:
+        for chip in machine.rig.drivers.drivers:
             chip.switch_on()
 
-    said = talk(on, [1.0, supply, 0.5, "G1X1F600", 0.5])
-    assert [line for line in said if "Motor" in line] == [
+    output = run_script(machine, [1.0, supply, 0.5, "G1X1F600", 0.5])
+    assert [line for line in output if "Motor" in line] == [
         f"[MSG:Motor driver {name}: no answer: is the motors' supply on?]" for name in "XYZ"
     ]
-    assert said[-1] == "ok"
-    assert driver(on).registers[model.GCONF] == 0x1C0
+    assert output[-1] == "ok"
+    assert driver(machine).registers[model.GCONF] == 0x1C0
 
 
 def test_recovered_driver_is_set_up_again_after_an_alarm() -> None:
-    on = machine()
-    said = talk(on, ["G1X1F600", 1.0, _again, 1.0, "$X", 0.5, "G1X2F600", 1.0])
-    assert said[-1] == "ok"
-    assert driver(on, 1).registers[model.IHOLD_IRUN] > 0
+    machine = make_machine()
+    output = run_script(
+        machine, ["G1X1F600", 1.0, _supply_failure, 1.0, "$X", 0.5, "G1X2F600", 1.0]
+    )
+    assert output[-1] == "ok"
+    assert driver(machine, 1).registers[model.IHOLD_IRUN] > 0
 
 
 def test_damaged_answer_is_requested_again() -> None:
     """The next two answers are damaged: the driver is asked again, without an alarm."""
-    on = machine()
+    machine = make_machine()
     damaged_left = [2]
 
     def spoil(answer: bytes) -> bytes:
         damaged_left[0] -= 1
         return answer if damaged_left[0] < 0 else b"\0" * 8
 
-    def begin(on: Machine) -> None:
-        on.rig.drivers.spoil = spoil
+    def begin(machine: Machine) -> None:
+        machine.rig.drivers.spoil = spoil
 
-    assert not any("ALARM" in line for line in talk(on, [0.5, begin, 2.0]))
+    assert not any("ALARM" in line for line in run_script(machine, [0.5, begin, 2.0]))
     assert damaged_left[0] < 0  # more answers than these two were requested
 
 
 def test_warm_driver_is_reported_once_and_continues() -> None:
-    on = machine()
+    machine = make_machine()
 
-    def warm(on: Machine) -> None:
-        driver(on).registers[model.DRV_STATUS] |= 1  # overtemperature warning
+    def warm(machine: Machine) -> None:
+        driver(machine).registers[model.DRV_STATUS] |= 1  # overtemperature warning
 
-    said = talk(on, [0.5, warm, 2.0, "G1X1F600", 0.5])
-    assert said.count("[MSG:Motor driver X: warm]") == 1
-    assert said[-1] == "ok"
+    output = run_script(machine, [0.5, warm, 2.0, "G1X1F600", 0.5])
+    assert output.count("[MSG:Motor driver X: warm]") == 1
+    assert output[-1] == "ok"
 
 
 # Homing without switches
@@ -295,26 +297,26 @@ class Stall(Switch):
     """DIAG of a driver: high beyond a place, while the driver's stall detection is on."""
 
     driver: model.Driver
-    felt: "list[int]"
+    thresholds_used: "list[int]"
 
     def closed(self, steps: int) -> bool:
         """Return whether DIAG is high at this position; record the threshold (0: off)."""
         threshold = self.driver.registers.get(model.SGTHRS, 0)
         is_high = super().closed(steps) and threshold > 0
         if is_high:
-            self.felt.append(threshold)
+            self.thresholds_used.append(threshold)
         return is_high
 
 
-def fit(on: Machine, above: int = 700) -> "list[int]":
+def add_walls(machine: Machine, above: int = 700) -> "list[int]":
     """Put a wall above so many steps of each axis; return the thresholds in use there, a list
     that grows as walls are touched."""
-    felt: "list[int]" = []
+    thresholds_used: "list[int]" = []
     for motor, letter in enumerate("xyz"):
         wall = Stall(f"limit_{letter}", motor, True, above)
-        wall.driver, wall.felt = driver(on, motor), felt
-        on.rig.engine.switches.append(wall)
-    return felt
+        wall.driver, wall.thresholds_used = driver(machine, motor), thresholds_used
+        machine.rig.engine.switches.append(wall)
+    return thresholds_used
 
 
 def test_axes_home_by_stall_detection() -> None:
@@ -323,20 +325,20 @@ def test_axes_home_by_stall_detection() -> None:
     $339 is the mask of axes that home by stall detection. Afterwards it is off.
     """
     thresholds = {**{200 + i: 90.0 for i in range(3)}, **{220 + i: 70.0 for i in range(3)}}
-    on = machine({**_HOMING, **thresholds, 339: 7.0})
-    used_thresholds = fit(on)
-    on.play(["$H", "G1X-1F600"])
-    assert on.reported() == [-1, -1, -1]
+    machine = make_machine({**_HOMING, **thresholds, 339: 7.0})
+    used_thresholds = add_walls(machine)
+    machine.play(["$H", "G1X-1F600"])
+    assert machine.reported() == [-1, -1, -1]
     assert set(used_thresholds) == {90, 70}
     for motor in range(3):
-        assert driver(on, motor).registers[model.SGTHRS] == 0
-        assert driver(on, motor).registers[model.TCOOLTHRS] == 0
+        assert driver(machine, motor).registers[model.SGTHRS] == 0
+        assert driver(machine, motor).registers[model.TCOOLTHRS] == 0
 
 
 def test_axis_in_spreadcycle_uses_stealthchop_during_stall_detection() -> None:
     """Stall detection needs stealthChop. $339 and $810 are 7: both for all axes."""
-    on = machine({**_HOMING, 339: 7.0, 810: 7.0, 200: 9.0, 201: 9.0, 202: 9.0})
-    fit(on)
+    machine = make_machine({**_HOMING, 339: 7.0, 810: 7.0, 200: 9.0, 201: 9.0, 202: 9.0})
+    add_walls(machine)
     spread_bits: "set[int]" = set()  # bit 2 of GCONF, spreadCycle, whenever a stall is detected
     original = Stall.closed
 
@@ -348,19 +350,19 @@ def test_axis_in_spreadcycle_uses_stealthchop_during_stall_detection() -> None:
 
     Stall.closed = closed  # type: ignore[method-assign]
     try:
-        on.play(["$H", "G4P0.5"])
+        machine.play(["$H", "G4P0.5"])
     finally:
         Stall.closed = original  # type: ignore[method-assign]
     assert spread_bits == {0}
-    assert driver(on).registers[model.GCONF] & 4  # afterwards it is on again
+    assert driver(machine).registers[model.GCONF] & 4  # afterwards it is on again
 
 
 def test_axis_without_stall_detection_does_not_use_it() -> None:
     """$339=2: only Y. Z is homed first, and finds no switch."""
-    on = machine({**_HOMING, 200: 90.0, 339: 2.0})
-    thresholds = fit(on)
-    on.play(["$H"])
-    assert "ALARM:9" in on.received
+    machine = make_machine({**_HOMING, 200: 90.0, 339: 2.0})
+    thresholds = add_walls(machine)
+    machine.play(["$H"])
+    assert "ALARM:9" in machine.received
     assert thresholds == []
 
 
@@ -369,15 +371,15 @@ def test_axis_without_stall_detection_does_not_use_it() -> None:
 
 def test_report_has_the_status_of_each_driver() -> None:
     """$TMC: first with Y too hot, then with the serial wire cut. $TMCX is an error."""
-    on = machine({152: 64.0, 810: 2.0})
-    said = talk(on, [1.0, _hot, "$TMC", 1.0, _broken, 1.0, "$TMC", "$TMCX"])
-    reports = [line for line in said if line.startswith("[TMC:")]
+    machine = make_machine({152: 64.0, 810: 2.0})
+    output = run_script(machine, [1.0, _hot, "$TMC", 1.0, _cut_wire, 1.0, "$TMC", "$TMCX"])
+    reports = [line for line in output if line.startswith("[TMC:")]
     assert reports[0] == "[TMC:X|version:33|microsteps:16|mode:stealthChop|scale:1/32|state:good]"
     assert "mode:spreadCycle" in reports[1]
     assert reports[1].endswith("state:too hot]")
     assert "microsteps:64" in reports[2]
     assert reports[3:] == [f"[TMC:{name}|state:no echo: its serial wire is cut]" for name in "XYZ"]
-    assert "error:3" in said
+    assert "error:3" in output
 
 
 # Messages and numbers
@@ -410,11 +412,11 @@ def test_impossible_board_file_is_reported_with_the_cause(
 
 def test_second_motor_has_its_axis_settings_and_a_name() -> None:
     """Motor 3 is the second of Y: its current is Y's ($141), and its name is Y2."""
-    on = Machine(
+    machine = Machine(
         {141: 900.0},
         board("sim_ganged", TMC2209=(0, 1, 2, 3), TMC_UART=(8, 9)),
     )
-    on.play(["G1X1F600", "$TMC"])
-    first, second = (driver(on, motor).registers[model.IHOLD_IRUN] for motor in (1, 3))
+    machine.play(["G1X1F600", "$TMC"])
+    first, second = (driver(machine, motor).registers[model.IHOLD_IRUN] for motor in (1, 3))
     assert first == second
-    assert any(line.startswith("[TMC:Y2|") for line in on.received)
+    assert any(line.startswith("[TMC:Y2|") for line in machine.received)

@@ -36,7 +36,7 @@ class Bench:
     def say(self, *talk: "tuple[str, str]") -> "list[list[str]]":
         """Power up and send texts, each given as (text, what to wait for: see Sender.wait());
         return the replies to each."""
-        said: list[list[str]] = []
+        replies: list[list[str]] = []
 
         def script() -> Iterator[Any]:
             """Wait for the welcome, then send each text and store its replies."""
@@ -44,10 +44,10 @@ class Bench:
             self.sender.take()
             for text, how in talk:
                 yield from self.sender.wait(how, text)
-                said.append(self.sender.take())
+                replies.append(self.sender.take())
 
         self.rig.run(script())
-        return said
+        return replies
 
 
 def lines(*texts: str) -> "list[tuple[str, str]]":
@@ -59,17 +59,17 @@ def lines(*texts: str) -> "list[tuple[str, str]]":
 
 def test_m_word_gets_its_numbers_after_motion_has_ended(monkeypatch: pytest.MonkeyPatch) -> None:
     """P is required, q optional (None). The handler runs when planner and engine are idle."""
-    heard: list[Any] = []  # p, q, planner empty, engine idle
+    calls: list[Any] = []  # p, q, planner empty, engine idle
 
     def install(cnc: Cnc) -> None:
         def vacuum(p: float, q: "float | None") -> None:
-            heard.append((p, q, cnc.machine.planner.empty(), cnc.machine.engine.idle()))
+            calls.append((p, q, cnc.machine.planner.empty(), cnc.machine.engine.idle()))
 
         cnc.add_m(100, vacuum, "Pq")
 
-    said = Bench(monkeypatch, install).say(*lines("G0X5", "M100 P2", "N7 m100 p1.5 q3"))
-    assert said == [["ok"]] * 3
-    assert heard == [(2.0, None, True, True), (1.5, 3.0, True, True)]
+    replies = Bench(monkeypatch, install).say(*lines("G0X5", "M100 P2", "N7 m100 p1.5 q3"))
+    assert replies == [["ok"]] * 3
+    assert calls == [(2.0, None, True, True), (1.5, 3.0, True, True)]
 
 
 @pytest.mark.parametrize(
@@ -88,28 +88,28 @@ def test_refused_line_calls_no_handler(
     monkeypatch: pytest.MonkeyPatch, line: str, error: int
 ) -> None:
     """M100 needs P and allows Q. The line is M100 with something missing, added or wrong."""
-    heard: list[Any] = []
-    bench = Bench(monkeypatch, lambda cnc: cnc.add_m(100, lambda *n: heard.append(n), "Pq"))
-    assert bench.say(*lines(line)) == [[f"error:{error}"]] and heard == []
+    calls: list[Any] = []
+    bench = Bench(monkeypatch, lambda cnc: cnc.add_m(100, lambda *n: calls.append(n), "Pq"))
+    assert bench.say(*lines(line)) == [[f"error:{error}"]] and calls == []
 
 
 def test_check_mode_checks_and_does_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    heard: list[Any] = []
-    bench = Bench(monkeypatch, lambda cnc: cnc.add_m(100, lambda *n: heard.append(n), "P"))
-    said = bench.say(*lines("$C", "M100P1", "M100"))
-    assert said[1:] == [["ok"], [f"error:{errors.GCODE_VALUE_WORD_MISSING}"]] and heard == []
+    calls: list[Any] = []
+    bench = Bench(monkeypatch, lambda cnc: cnc.add_m(100, lambda *n: calls.append(n), "P"))
+    replies = bench.say(*lines("$C", "M100P1", "M100"))
+    assert replies[1:] == [["ok"], [f"error:{errors.GCODE_VALUE_WORD_MISSING}"]] and calls == []
 
 
 def test_g_word_may_have_a_decimal(monkeypatch: pytest.MonkeyPatch) -> None:
     """G81 and G81.1 are different words, each with its handler."""
-    heard: list[Any] = []
+    calls: list[Any] = []
 
     def install(cnc: Cnc) -> None:
-        cnc.add_g(81, lambda: heard.append("81"))
-        cnc.add_g(81.1, lambda: heard.append("81.1"))
+        cnc.add_g(81, lambda: calls.append("81"))
+        cnc.add_g(81.1, lambda: calls.append("81.1"))
 
     assert Bench(monkeypatch, install).say(*lines("G81.1", "G81")) == [["ok"], ["ok"]]
-    assert heard == ["81.1", "81"]
+    assert calls == ["81.1", "81"]
 
 
 def test_words_and_bytes_of_grbl_cannot_be_taken(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -155,11 +155,11 @@ def test_handler_may_refuse_and_is_ended_by_a_reset(monkeypatch: pytest.MonkeyPa
         cnc.add_m(100, wait, "P")
 
     bench = Bench(monkeypatch, install)
-    said = bench.say(
+    replies = bench.say(
         ("M100P0\n", "ok"), ("M100P1\n", "ms 50"), ("?", "report"), ("\x18", "banner")
     )
-    assert said[0] == [f"error:{errors.NEGATIVE_VALUE}"] and said[2][0].startswith("<Idle")
-    assert said[3][-1].startswith("Grbl 1.1h")
+    assert replies[0] == [f"error:{errors.NEGATIVE_VALUE}"] and replies[2][0].startswith("<Idle")
+    assert replies[3][-1].startswith("Grbl 1.1h")
 
 
 def _bore(here: "list[float]", target: "list[float]", r: float, p: "float | None") -> "Any":
@@ -173,17 +173,17 @@ def test_cycle_keeps_its_numbers_until_another_motion(monkeypatch: pytest.Monkey
     """Later lines have only X: Z, R and P of the first one are used, until G0 ends the cycle."""
     bench = Bench(monkeypatch, lambda cnc: cnc.add_cycle(86, _bore, "Rp"))
     cycle = ("G20G86X1Z-.2R.1P3F20", "X2", "G21X-2R-1", "G0X0", "X1")
-    said = bench.say(*((text, "idle") for line in cycle for text in (line + "\n", "?")))
-    assert said[::2] == [["ok"]] * 5
-    places = [report[0].partition("MPos:")[2].partition("|")[0] for report in said[1::2]]
+    replies = bench.say(*((text, "idle") for line in cycle for text in (line + "\n", "?")))
+    assert replies[::2] == [["ok"]] * 5
+    places = [report[0].partition("MPos:")[2].partition("|")[0] for report in replies[1::2]]
     # Z ends at R + P: 0.1 in = 2.54 mm, and 3; then R-1 in mm, and 3. P has no unit.
     at = ("25.400,0.000,5.540", "50.800,0.000,5.540", "-2.000,0.000,2.000", "0.000,0.000,2.000")
     assert places == [*at, "1.000,0.000,2.000"]  # the last X1 is a rapid: Z stays
     # After another motion Z and R are required again; P is not.
     again = lines("G86X1Z-1R1P5F9", "G0X2", "G86X1R1", "G86X1Z-1", "X3", "G86X1Z-1R0", "$G")
-    said = bench.say(*again)
-    assert said[2:6] == [["error:28"], ["error:28"], ["ok"], ["ok"]]
-    assert said[6][0].startswith("[GC:G86 G54 ")
+    replies = bench.say(*again)
+    assert replies[2:6] == [["error:28"], ["error:28"], ["ok"], ["ok"]]
+    assert replies[6][0].startswith("[GC:G86 G54 ")
 
 
 def test_cycle_numbers_are_restored_after_a_with_statement(
@@ -209,8 +209,8 @@ def test_cycle_numbers_are_restored_after_a_with_statement(
         cnc.add_cycle(86, bore)
         cnc.add_m(100, deeper)
 
-    said = Bench(monkeypatch, install).say(*lines("G86X1Z-1R1F99", "M100", "X2"))
-    assert said == [["ok"]] * 3 and deepest == [-1, -9, -1]
+    replies = Bench(monkeypatch, install).say(*lines("G86X1Z-1R1F99", "M100", "X2"))
+    assert replies == [["ok"]] * 3 and deepest == [-1, -9, -1]
 
 
 def test_polling_stops_while_a_reset_is_pending(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -245,9 +245,9 @@ def test_refused_line_of_a_cycle_changes_nothing(
     """Refused are G18, G91, G93 (error 20), the unused word L (36), and no axis (26)."""
     bench = Bench(monkeypatch, lambda cnc: cnc.add_cycle(86, _bore, "Rp"))
     wrong = ("G18G86X1Z-1R0F9", "G91G86X1Z-1R0F9", "G93G86X1Z-1R0F9", "G86X1Z-1R0L1F9", "G86R0F9")
-    said = bench.say(*lines(*wrong, "$G"))
-    assert said[:5] == [[f"error:{n}"] for n in (20, 20, 20, 36, 26)]
-    assert said[5][0] == "[GC:G0 G54 G17 G21 G90 G94 M5 M9 T0 F0 S0]"
+    replies = bench.say(*lines(*wrong, "$G"))
+    assert replies[:5] == [[f"error:{n}"] for n in (20, 20, 20, 36, 26)]
+    assert replies[5][0] == "[GC:G0 G54 G17 G21 G90 G94 M5 M9 T0 F0 S0]"
 
 
 # Settings, commands, fields, bytes
@@ -264,12 +264,14 @@ def test_setting_is_stored_with_the_others(monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_command_is_accepted_only_while_idle(monkeypatch: pytest.MonkeyPatch) -> None:
     """$VAC=1 is accepted; during a move $VAC is refused. The handler gets the text after VAC."""
-    heard: list[bytes] = []
-    bench = Bench(monkeypatch, lambda cnc: cnc.add_command(b"VAC", heard.append))
-    said = bench.say(("$VAC=1\n", "ok"), ("G1X50F100\n", "ok"), ("$VAC\n", "ok"), ("$G\n", "ok"))
-    assert heard == [b"=1"]
-    assert said[0] == ["ok"] and said[2] == [f"error:{errors.IDLE_ERROR}"]
-    assert said[3][0].startswith("[GC:G1")
+    calls: list[bytes] = []
+    bench = Bench(monkeypatch, lambda cnc: cnc.add_command(b"VAC", calls.append))
+    replies = bench.say(
+        ("$VAC=1\n", "ok"), ("G1X50F100\n", "ok"), ("$VAC\n", "ok"), ("$G\n", "ok")
+    )
+    assert calls == [b"=1"]
+    assert replies[0] == ["ok"] and replies[2] == [f"error:{errors.IDLE_ERROR}"]
+    assert replies[3][0].startswith("[GC:G1")
 
 
 def test_field_is_added_at_the_end_of_the_report(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -280,9 +282,9 @@ def test_field_is_added_at_the_end_of_the_report(monkeypatch: pytest.MonkeyPatch
 
 
 def test_byte_is_handled_anywhere_in_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    heard: list[int] = []
-    bench = Bench(monkeypatch, lambda cnc: cnc.add_byte(0xC0, lambda: heard.append(1)))
-    assert bench.say(("G0\xc0X1\n", "idle")) == [["ok"]] and heard == [1]
+    calls: list[int] = []
+    bench = Bench(monkeypatch, lambda cnc: cnc.add_byte(0xC0, lambda: calls.append(1)))
+    assert bench.say(("G0\xc0X1\n", "idle")) == [["ok"]] and calls == [1]
 
 
 # Events
@@ -311,14 +313,14 @@ def test_guard_prevents_motion(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_lines_of_motion_and_resets_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     """after_line is called for lines with motion, not for G4; after_reset also at power-up."""
-    heard: list[str] = []
+    calls: list[str] = []
 
     def install(cnc: Cnc) -> None:
-        cnc.after_line(lambda: heard.append("line"))
-        cnc.after_reset(lambda: heard.append("reset"))
+        cnc.after_line(lambda: calls.append("line"))
+        cnc.after_reset(lambda: calls.append("reset"))
 
     Bench(monkeypatch, install).say(*lines("G0X1", "X2", "G4P0", "G1Y1F100"), ("\x18", "banner"))
-    assert heard == ["reset", "line", "line", "line", "reset"]
+    assert calls == ["reset", "line", "line", "line", "reset"]
 
 
 # The board file
@@ -335,14 +337,14 @@ def test_old_method_name_works_and_reports_the_new_one(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """behind_reset was the name of after_reset. A name that never existed is an error."""
-    heard: list[str] = []
+    calls: list[str] = []
 
     def install(cnc: Cnc) -> None:
         old: Any = cnc
-        old.behind_reset(lambda: heard.append("reset"))
+        old.behind_reset(lambda: calls.append("reset"))
         with pytest.raises(AttributeError):
             old.no_such_method()
 
-    said = Bench(monkeypatch, install).say(("\x18", "banner"), ("$I\n", "ok"))
-    assert heard == ["reset", "reset"]  # at power-up, and by \x18
-    assert "[MSG:cnc.behind_reset is now cnc.after_reset]" in said[0] + said[1]
+    replies = Bench(monkeypatch, install).say(("\x18", "banner"), ("$I\n", "ok"))
+    assert calls == ["reset", "reset"]  # at power-up, and by \x18
+    assert "[MSG:cnc.behind_reset is now cnc.after_reset]" in replies[0] + replies[1]

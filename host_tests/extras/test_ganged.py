@@ -25,7 +25,7 @@ pytestmark = pytest.mark.sampled(2)
 
 _STEPS_PER_MM = 250  # of the board sim
 _PULL_OFF_MM = 1
-_AT = 800  # steps from power-up to the switches, which are at the upper ends
+_SWITCH_STEPS = 800  # steps from power-up to the switches, which are at the upper ends
 _DEAD = 1 << 28  # steps: a switch that is never reached
 _GANTRIES = int(os.environ.get("UGRBL_TORTURE", "40"))
 SETTINGS = {
@@ -47,9 +47,9 @@ _RESET = "\x18"
 
 def board(**options: Any) -> ModuleType:
     """Return the board sim_ganged with other options."""
-    made = ModuleType("board")
-    made.__dict__.update({**vars(load_board("sim_ganged")), **options})
-    return made
+    module = ModuleType("board")
+    module.__dict__.update({**vars(load_board("sim_ganged")), **options})
+    return module
 
 
 class Gantry(Machine):
@@ -68,27 +68,32 @@ class Gantry(Machine):
         """racked: steps; settings: by $-number; switches: steps at which they close, by name;
         options: of the board file."""
         super().__init__({**SETTINGS, **(settings or {})}, board(**options), watched=False)
-        self.at = {"limit_x": _AT, "limit_y": _AT, "limit_z": _AT, "limit_y2": _AT + racked}
+        self.at = {
+            "limit_x": _SWITCH_STEPS,
+            "limit_y": _SWITCH_STEPS,
+            "limit_z": _SWITCH_STEPS,
+            "limit_y2": _SWITCH_STEPS + racked,
+        }
         self.at.update(switches or {})
         for motor, (pin, at) in enumerate(self.at.items()):
             if pin in self.rig.port.limit_names:
                 self.rig.engine.switches.append(Switch(pin, motor, True, at))
         self.rig.port.update()
 
-    def told(self, *lines: str, at_ms: "tuple[tuple[int, str], ...]" = ()) -> "list[str]":
+    def output_after(self, *lines: str, at_ms: "tuple[tuple[int, str], ...]" = ()) -> "list[str]":
         """Play lines from power-up; return the whole output."""
         self.play(lines, at_ms)
         return self.received
 
 
-def assert_alive(gantry: Gantry) -> None:
+def assert_all_motors_move(gantry: Gantry) -> None:
     """Check that after a reset every motor of an axis makes every commanded step."""
     before = gantry.physical()
     gantry.received.clear()
     gantry.play([_RESET, "$X", "G91", "G1 X-1 Y-2 Z-3 F3000"])
-    made = [at - was for at, was in zip(gantry.physical(), before, strict=True)]
+    moved_steps = [at - was for at, was in zip(gantry.physical(), before, strict=True)]
     # 250 steps/mm; the motors are X, Y, Z and the second of Y.
-    assert made == [-250, -500, -750, -500], gantry.received
+    assert moved_steps == [-250, -500, -750, -500], gantry.received
 
 
 # Homing
@@ -97,10 +102,10 @@ def assert_alive(gantry: Gantry) -> None:
 def test_each_motor_stops_at_its_own_switch() -> None:
     """Y's second motor starts 300 steps (1.2 mm) further from its switch than the first."""
     gantry = Gantry(racked=300)
-    output = gantry.told("$H")
+    output = gantry.output_after("$H")
     assert "ok" in output and not any("ALARM" in line for line in output)
     _, y, _, y2 = gantry.physical()
-    assert abs(y - (_AT - _PULL_OFF_MM * _STEPS_PER_MM)) <= 1
+    assert abs(y - (_SWITCH_STEPS - _PULL_OFF_MM * _STEPS_PER_MM)) <= 1
     assert abs(y2 - y - 300) <= 1
     assert gantry.reported() == [-1.0, -1.0, -1.0]
 
@@ -122,7 +127,7 @@ def test_gantry_is_square_within_a_step_for_any_offset() -> None:
             for switch in gantry.rig.engine.switches:
                 if switch.axis in (1, 3):
                     switch.above, switch.steps = False, -switch.steps
-        output = gantry.told("$H")
+        output = gantry.output_after("$H")
         case = f"racked {racked}, $171={offset}, $25={seek}, $23={negative}: {output}"
         assert not any("ALARM" in line for line in output[2:]), case
         _, y, _, y2 = gantry.physical()
@@ -137,16 +142,18 @@ def test_offset_moves_the_motor_that_must_be_further_away(offset: float) -> None
     Both motors are then moved to Y-4.
     """
     gantry = Gantry(settings={171: offset})
-    gantry.told("$H", "G90 G53 G0 Y-4")
+    gantry.output_after("$H", "G90 G53 G0 Y-4")
     _, y, _, y2 = gantry.physical()
     assert abs(y - y2 - offset * _STEPS_PER_MM) <= 1
-    target_steps = _AT - 4 * _STEPS_PER_MM  # of the motor that is not moved by the offset
+    target_steps = (
+        _SWITCH_STEPS - 4 * _STEPS_PER_MM
+    )  # of the motor that is not moved by the offset
     assert abs(max(y, y2) - target_steps) <= 1
 
 
 def test_one_axis_homed_alone_is_squared() -> None:
     gantry = Gantry(racked=200, SINGLE_AXIS_HOMING=True)
-    gantry.told("$HY")
+    gantry.output_after("$HY")
     x, y, _, y2 = gantry.physical()
     assert x == 0 and abs(y2 - y - 200) <= 1
 
@@ -154,9 +161,9 @@ def test_one_axis_homed_alone_is_squared() -> None:
 def test_both_motors_home_as_one_without_a_second_switch() -> None:
     """Y homes by its one switch; the pull-off is 1 mm."""
     gantry = Gantry(LIMIT=(0, 1, 2, None))
-    output = gantry.told("$H", "$$")
+    output = gantry.output_after("$H", "$$")
     _, y, _, y2 = gantry.physical()
-    assert y == y2 and abs(y - (_AT - _STEPS_PER_MM)) <= 1
+    assert y == y2 and abs(y - (_SWITCH_STEPS - _STEPS_PER_MM)) <= 1
     # Settings of the second motor: its direction, but none of squaring.
     assert "$8=0" in output and not any(line.startswith(("$17", "$347=")) for line in output)
 
@@ -170,7 +177,7 @@ def test_both_motors_home_as_one_without_a_second_switch() -> None:
         ({"limit_y2": _DEAD}, "ALARM:10"),
         ({"limit_y": _DEAD}, "ALARM:10"),
         ({"limit_y": _DEAD, "limit_y2": _DEAD}, "ALARM:9"),
-        ({"limit_y2": _AT + 11 * _STEPS_PER_MM}, "ALARM:10"),  # 10 mm are 5 % of 200
+        ({"limit_y2": _SWITCH_STEPS + 11 * _STEPS_PER_MM}, "ALARM:10"),  # 10 mm are 5 % of 200
     ],
     ids=["second dead", "first dead", "both dead", "racked too far"],
 )
@@ -180,12 +187,12 @@ def test_missing_switch_is_an_alarm(switches: "dict[str, int]", alarm: str) -> N
     Alarm 10: only one motor has found its switch; alarm 9: none.
     """
     gantry = Gantry(settings={130: 200, 131: 20}, switches=switches)
-    output = gantry.told("$H")
+    output = gantry.output_after("$H")
     assert [line for line in output if line.startswith("ALARM")] == [alarm]
     _, y, _, y2 = gantry.physical()
     if alarm == "ALARM:10":
         assert 2450 <= abs(y - y2) <= 2600, "10 mm, and what passes until it is seen"
-    assert_alive(gantry)
+    assert_all_motors_move(gantry)
 
 
 def test_repeated_homing_racks_no_further() -> None:
@@ -213,7 +220,7 @@ def test_repeated_homing_racks_no_further() -> None:
 def test_offset_beyond_the_racking_limit_homes_repeatedly(offset: float) -> None:
     """$171 is 6 mm, and the racking limit 5 mm (5 % of 100): a wanted offset is not racking."""
     gantry = Gantry(settings={171: offset, 130: 100})
-    output = gantry.told("$H", "G91 G1 Y-2 F3000", "$H", "G1 Y-2", "$H")
+    output = gantry.output_after("$H", "G91 G1 Y-2 F3000", "$H", "G1 Y-2", "$H")
     assert not any("ALARM" in line for line in output[2:])
     _, y, _, y2 = gantry.physical()
     assert abs(y - y2 - offset * _STEPS_PER_MM) <= 1
@@ -250,7 +257,7 @@ def test_racking_limit_is_a_setting(settings: "dict[int, float]", mm: float) -> 
     It is $347 percent (5) of the travel of X ($130), at least $348 (2.5 mm), at most $349 (25 mm).
     """
     gantry = Gantry(settings={131: 60, **settings}, switches={"limit_y2": _DEAD})
-    gantry.told("$H")
+    gantry.output_after("$H")
     _, y, _, y2 = gantry.physical()
     assert mm * _STEPS_PER_MM < y2 - y < (mm + 0.5) * _STEPS_PER_MM
 
@@ -261,14 +268,14 @@ def test_all_motors_move_after_a_stop_at_any_time(ms: int, stop: str) -> None:
     """A reset or an open door so many ms after $H, at which a motor of Y may be moved alone."""
     door = stop == "door"
     gantry = Gantry(racked=400, settings={171: 0.7}, SAFETY_DOOR=door)
-    gantry.told("$H", at_ms=((ms, "\x84" if door else _RESET),))
-    assert_alive(gantry)
+    gantry.output_after("$H", at_ms=((ms, "\x84" if door else _RESET),))
+    assert_all_motors_move(gantry)
 
 
 def test_closed_switch_at_the_start_is_refused_with_the_reason() -> None:
     """Y's second switch closes above -5 steps: it is closed at 0, where the gantry starts."""
     gantry = Gantry(switches={"limit_y2": -5})
-    output = gantry.told("$H", at_ms=((1000, _RESET),))
+    output = gantry.output_after("$H", at_ms=((1000, _RESET),))
     index = output.index("[MSG:Y: move off the closed limit switch first]")
     # As Grbl with two switches on one input.
     assert output[index + 1 : index + 3] == ["ok", "ALARM:1"]
@@ -278,17 +285,17 @@ def test_closed_switch_at_the_start_is_refused_with_the_reason() -> None:
 def test_either_switch_is_reported_and_stops_the_machine() -> None:
     """Hard limits ($21): here the second switch, at 800 steps, closes long before the first."""
     gantry = Gantry(settings={22: 0, 21: 1}, switches={"limit_y": 2000})
-    output = gantry.told("G91 G1 Y8 F3000", at_ms=((2000, _RESET),))
+    output = gantry.output_after("G91 G1 Y8 F3000", at_ms=((2000, _RESET),))
     assert "ALARM:1" in output
     assert [line for line in output if "|Pn:Y|" in line]
-    assert gantry.physical()[3] < _AT + 100
+    assert gantry.physical()[3] < _SWITCH_STEPS + 100
 
 
 def test_switches_may_be_normally_closed() -> None:
     """$5: a motor without an input must not count as open."""
     gantry = Gantry(settings={5: 1, 22: 0}, LIMIT=(0, 1, 2, None))
     gantry.rig.port.push(dict.fromkeys(gantry.rig.port.limit_names[:3], True))
-    assert not [line for line in gantry.told("") if "Pn:" in line]
+    assert not [line for line in gantry.output_after("") if "Pn:" in line]
 
 
 # Settings
@@ -301,7 +308,7 @@ def test_second_motor_turns_as_the_settings_say() -> None:
     """
     for inverted, ganged_inverted, pins in ((0, 0, 0), (2, 0, 0b1010), (2, 2, 0b0010)):
         gantry = Gantry(settings={3: inverted, 8: ganged_inverted, 22: 0})
-        gantry.told("G91 G1 Y1 F3000")
+        gantry.output_after("G91 G1 Y1 F3000")
         assert gantry.rig.engine.dir_invert == pins
         signs = [-1 if pins >> motor & 1 else 1 for motor in (1, 3)]
         assert [gantry.physical()[motor] for motor in (1, 3)] == [250 * sign for sign in signs]
@@ -321,7 +328,7 @@ def test_direction_of_a_second_motor_never_changes_alone() -> None:
         configure(pulse_us, step_invert, dir_invert)
 
     gantry.rig.engine.configure = note  # type: ignore[method-assign]
-    output = gantry.told("$10=3", "$2=255", "$3=0", "$2=0", "$$")
+    output = gantry.output_after("$10=3", "$2=255", "$3=0", "$2=0", "$$")
     # At power-up and for each changed setting; Y's motors are bits 1 and 3.
     assert configured == [
         *((0b1010, 0b0010), (0b1010, 0b0010)),
@@ -334,19 +341,19 @@ def test_direction_of_a_second_motor_never_changes_alone() -> None:
 def test_impossible_stored_offset_resets_all_settings(kept: str) -> None:
     gantry = Gantry()
     gantry.rig.store.files["settings"].append(f"$171={kept}")
-    output = gantry.told("$$")
+    output = gantry.output_after("$$")
     assert "error:7" in output and "$171=0.000" in output
 
 
 def test_offset_may_be_negative_and_is_stored() -> None:
     """11 mm is too much, and only $171, Y's offset, may be negative: X has no second motor."""
     gantry = Gantry()
-    output = gantry.told("$171=-0.75", "$171=11", "$170=-1", "$100=-1", "$171=x")
+    output = gantry.output_after("$171=-0.75", "$171=11", "$170=-1", "$100=-1", "$171=x")
     assert [line for line in output if line == "ok" or "error" in line] == [
         *("ok", "error:3", "error:4", "error:4", "error:2")
     ]
     gantry.received.clear()
-    assert "$171=-0.750" in gantry.told("$$")
+    assert "$171=-0.750" in gantry.output_after("$$")
 
 
 def test_stored_settings_of_a_gantry_do_no_harm_on_another_board() -> None:
@@ -386,8 +393,8 @@ def test_second_motor_of_a_real_board_needs_no_switch(tmp_path: Path) -> None:
     words += ["--pin", "step=2,3,4,19", "--pin", "dir=5,6,7,20", "--pin", "limit=9,10,11,none"]
     done = CliRunner().invoke(app, words)
     assert done.exit_code == 0, done.output
-    made: Any = load(file)
-    assert (made.MOTORS, made.LIMIT) == ("XYZY", (9, 10, 11, None))
+    module: Any = load(file)
+    assert (module.MOTORS, module.LIMIT) == ("XYZY", (9, 10, 11, None))
 
 
 @pytest.mark.parametrize(
@@ -401,10 +408,10 @@ def test_motors_on_shift_registers_are_counted(
     name: str, pins: "tuple[int, ...]", why: str
 ) -> None:
     """Pins on shift registers must be as many as MOTORS has letters."""
-    made = ModuleType("board")
+    module = ModuleType("board")
     four = {"MOTORS": "XYZY", "STEP": (1, 5, 3, 9), "DIR": (2, 6, 4, 10)}
-    made.__dict__.update({**vars(load_board("mks_dlc32")), **four, name: pins})
-    assert why in board_check.problems(made)
+    module.__dict__.update({**vars(load_board("mks_dlc32")), **four, name: pins})
+    assert why in board_check.problems(module)
 
 
 def test_switch_of_a_second_motor_can_be_placed_by_an_option(tmp_path: Path) -> None:

@@ -10,9 +10,9 @@ from ugrbl.boardfile import board_check
 from ugrbl.boardfile.files import load_board
 from ugrbl.sim.engine import Switch
 
-_AT = 800  # steps from power-up to each switch
+_SWITCH_STEPS = 800  # steps from power-up to each switch
 _PER_MM = 250  # steps
-_MANY = 10  # steps of a row, for a rate
+_MIN_STEPS = 10  # steps of a row, for a rate
 _SETTINGS = {
     22: 1,
     24: 300,
@@ -23,7 +23,7 @@ _SETTINGS = {
 }
 
 
-def homed(
+def home(
     settings: "dict[int, float] | None" = None,
     command: str = "$H",
     stop_ms: int = 0,
@@ -39,23 +39,25 @@ def homed(
     machine = Machine({**_SETTINGS, **(settings or {})}, board, watched=False)
     order: list[str] = []
     for axis, letter in enumerate("XYZ"):
-        machine.rig.engine.switches.append(Switch(f"limit_{letter.lower()}", axis, True, _AT))
+        machine.rig.engine.switches.append(
+            Switch(f"limit_{letter.lower()}", axis, True, _SWITCH_STEPS)
+        )
     update = machine.rig.port.update
 
-    def look() -> None:
+    def note_closed() -> None:
         """Note axes whose switches have closed; called when an input has changed."""
         update()
         for letter in "XYZ":
             if machine.rig.port.is_closed(f"limit_{letter.lower()}") and letter not in order:
                 order.append(letter)
 
-    machine.rig.engine.pins_changed = look
+    machine.rig.engine.pins_changed = note_closed
     machine.play([command], [(stop_ms, "\x18")] if stop_ms else [])
     return machine, order
 
 
 def test_axes_are_homed_in_order_and_unnamed_ones_are_not() -> None:
-    machine, order = homed()
+    machine, order = home()
     assert order == ["X", "Y"]
     assert machine.reported() == [-1, -1, 0]
     assert machine.physical()[2] == 0
@@ -73,19 +75,19 @@ def test_axes_are_homed_in_order_and_unnamed_ones_are_not() -> None:
 def test_settings_change_the_order_at_run_time(masks: "tuple[int, ...]", order: str) -> None:
     """masks: $44 to $49, axes homed in each of six cycles; bits 1 X, 2 Y, 4 Z."""
     settings = {44 + i: (masks + (0,) * 6)[i] for i in range(6)}
-    machine, letters = homed(settings)
+    machine, letters = home(settings)
     assert "".join(letters) == order
     assert machine.reported() == [-1, -1, -1]
 
 
 def test_one_axis_is_homed_alone_on_request() -> None:
-    machine, order = homed(command="$HZ", SINGLE_AXIS_HOMING=True)
+    machine, order = home(command="$HZ", SINGLE_AXIS_HOMING=True)
     assert order == ["Z"] and machine.reported() == [0, 0, -1]
 
 
 def test_failed_cycle_ends_homing() -> None:
     """X's travel ($130) is 1 mm: the search ends before its switch at 3.2 mm. Y and Z stay."""
-    machine, order = homed({130: 1}, HOMING=("X", "YZ"))
+    machine, order = home({130: 1}, HOMING=("X", "YZ"))
     assert "ALARM:9" in machine.received and order == []
     assert machine.physical()[1:] == [0, 0]
 
@@ -97,7 +99,7 @@ def rates(machine: Machine) -> "list[float]":
         for axis in range(3):
             # Steps of this row; ticks of the first and the last one.
             count, first, last = row[ROW_AXES + axis * ROW_STRIDE :][:3]
-            if count > _MANY:
+            if count > _MIN_STEPS:
                 gap_s = (last - first) / (count - 1) / machine.rig.engine.tick_hz
                 highest[axis] = max(highest[axis], 60 / gap_s / _PER_MM)
     return highest
@@ -105,12 +107,12 @@ def rates(machine: Machine) -> "list[float]":
 
 def test_each_axis_has_a_rate_of_its_own() -> None:
     homing = ("Z", "X", "Y")
-    machine, _ = homed({190: 600, 192: 1200}, HOMING=homing)
+    machine, _ = home({190: 600, 192: 1200}, HOMING=homing)
     assert rates(machine) == pytest.approx([600, 3000, 1200], rel=0.02)
 
 
 def test_axes_homed_together_move_at_their_slowest_rate() -> None:
-    machine, _ = homed({190: 600, 191: 900}, HOMING=("Z", "XY"))
+    machine, _ = home({190: 600, 191: 900}, HOMING=("Z", "XY"))
     assert rates(machine) == pytest.approx([600, 600, 3000], rel=0.02)
 
 
@@ -120,7 +122,7 @@ def test_rates_are_restored_after_a_reset(ms: int) -> None:
 
     ms: time of a reset after the start of homing.
     """
-    machine, _ = homed({180: 60, 190: 600}, stop_ms=ms)
+    machine, _ = home({180: 60, 190: 600}, stop_ms=ms)
     assert "ALARM:6" in machine.received
     machine.play(["$X", "$$"])
     assert {"$24=300.000", "$25=3000.000", "$180=60.000", "$190=600.000"} <= {*machine.received}
@@ -130,9 +132,9 @@ def test_settings_are_masks_of_axes() -> None:
     """Of three axes, 7 is the largest mask. $45 and $49 are among the six cycles."""
     machine = Machine(board="sim_home_order", watched=False)
     machine.play(["$44=8", "$45=7", "$44=-1", "$$"])
-    said = machine.received
-    assert [x for x in said if x == "ok" or "error" in x] == ["error:3", "ok", "error:4", "ok"]
-    assert "$44=1" in said and "$45=7" in said and "$49=0" in said
+    output = machine.received
+    assert [x for x in output if x == "ok" or "error" in x] == ["error:3", "ok", "error:4", "ok"]
+    assert "$44=1" in output and "$45=7" in output and "$49=0" in output
 
 
 @pytest.mark.parametrize(

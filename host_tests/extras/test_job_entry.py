@@ -3,7 +3,7 @@
 UGRBL_ENTRIES=1000 tries this number of lines, instead of a few.
 
 $F=NAME@LINE starts a job in its middle: the lines before are only read, for their modes and
-offsets. Bench.run() returns the output, and Bench.behind(line) the recorded moves from a line on.
+offsets. Bench.run() returns the output, Bench.moves_from(line) the recorded moves from a line on.
 """
 
 import json
@@ -16,17 +16,17 @@ from typing import Any
 import pytest
 from language.block_layout import MOVE
 from motion.arc_geometry import TOLERANCE
-from test_jobs import FAST, HOMED, Bench, homed, say, to_its_end
+from test_jobs import FAST, HOMED, Bench, say, until_job_ends, with_switches
 from ugrbl.grbl.gcode_file import read_lines
 
 _PROGRAMS = Path(__file__).resolve().parents[3] / "shared" / "gcode"
 _EXPECTED = _PROGRAMS / "expected.json"
 _ENTRIES = int(os.environ.get("UGRBL_ENTRIES", "24"))
 LASER = ("$32=0", "$32=1")
-_BEHIND = 30  # lines after the entry that are compared
+_COMPARED = 30  # lines after the entry that are compared
 _LONGEST = 3000  # lines of a program
 # Reasons for which entry is refused.
-_NO_WAY = (
+_REFUSALS = (
     "is inside a drilling cycle",
     " probes: ",
     " ends the program",
@@ -82,8 +82,8 @@ def lines_of(name: str) -> list[str]:
 def whole(name: str, laser: bool, folder: Path) -> list[tuple[int, Any]]:
     """Return the log of a whole run in check mode."""
     bench = Witness(folder, LENIENT=True)
-    homed(bench).put("ALL.NC", *lines_of(name))
-    bench.run(to_its_end(*FAST, *HOMED, LASER[laser], "$C", "$F=ALL.NC"))
+    with_switches(bench).put("ALL.NC", *lines_of(name))
+    bench.run(until_job_ends(*FAST, *HOMED, LASER[laser], "$C", "$F=ALL.NC"))
     return bench.log
 
 
@@ -98,24 +98,24 @@ def test_program_entered_at_a_line_continues_like_a_whole_run(
     Its next moves have the arguments, modes and offsets of a whole run in check mode, or the entry
     is refused for a known reason.
     """
-    chance = random.Random(number)
-    name = chance.choice(programs())
+    rng = random.Random(number)
+    name = rng.choice(programs())
     lines = lines_of(name)
-    line = chance.randrange(2, len(lines) + 1)
+    line = rng.randrange(2, len(lines) + 1)
     folder = tmp_path_factory.getbasetemp() / name
     folder.mkdir(exist_ok=True)
-    laser = chance.random() < 0.5
+    laser = rng.random() < 0.5
     whole_log = whole(name, laser, folder)
     bench = Witness(folder, LENIENT=True)
-    homed(bench).put("PART.NC", *lines[: line + _BEHIND])
-    output = bench.run(to_its_end(*FAST, *HOMED, LASER[laser], f"$F=PART.NC@{line}"))
+    with_switches(bench).put("PART.NC", *lines[: line + _COMPARED])
+    output = bench.run(until_job_ends(*FAST, *HOMED, LASER[laser], f"$F=PART.NC@{line}"))
     if f"[MSG:Job PART.NC: continues at line {line}]" not in output:
-        assert any(reason in output[-1] for reason in _NO_WAY), output
-        assert not bench.behind(line)
+        assert any(reason in output[-1] for reason in _REFUSALS), output
+        assert not bench.moves_from(line)
         return
     # Entries of the log are (line in the job, move).
-    expected = [entry for entry in whole_log if line <= entry[0] <= line + _BEHIND]
-    entered = [entry for entry in bench.behind(line) if entry[0] <= line + _BEHIND]
+    expected = [entry for entry in whole_log if line <= entry[0] <= line + _COMPARED]
+    entered = [entry for entry in bench.moves_from(line) if entry[0] <= line + _COMPARED]
     assert entered == expected, (name, line)
 
 
@@ -123,7 +123,9 @@ def test_program_entered_at_a_line_continues_like_a_whole_run(
 def test_refused_entry_leaves_no_drilling_cycle(tmp_path: Path, line: int) -> None:
     """Entry is refused in the cycle, or after a wrong line in it. The next line only moves."""
     bench = Bench(tmp_path, LENIENT=True)
-    homed(bench).put("A.NC", "G90", "G0X-9Y-9Z-5", "G81X-8Z-9R-6F300", "X-7", "X-6K1", "X-5")
+    with_switches(bench).put(
+        "A.NC", "G90", "G0X-9Y-9Z-5", "G81X-8Z-9R-6F300", "X-7", "X-6K1", "X-5"
+    )
     output = bench.run(say(*FAST, *HOMED, f"$F=A.NC@{line}", "X-3Y-3"))
-    assert any(reason in text for text in output for reason in _NO_WAY), output
+    assert any(reason in text for text in output for reason in _REFUSALS), output
     assert bench.moves == [(-3, -3, -5)]

@@ -3,8 +3,8 @@
 $F=NAME starts a job, and $F=NAME@LINE at a line within it; $F=@ at the line where a job was
 stopped. Bench.run() runs the machine with a script from power-up to its end, and returns the
 output. say() is a script that sends lines, and then lets wait_s pass. Bench.moves are the planned
-targets in mm, Bench.steps the motors' final steps (250 per mm), and Bench.kept() is the stored
-record of a job: its name, its line, and more.
+targets in mm, Bench.steps the motors' final steps (250 per mm), and Bench.job_record() is the
+stored record of a job: its name, its line, and more.
 """
 
 import random
@@ -104,11 +104,11 @@ class Bench:
         for closed in (True, False):
             self.rig.port.push({"start": closed})
 
-    def behind(self, line: int) -> list[tuple[int, Any]]:
+    def moves_from(self, line: int) -> list[tuple[int, Any]]:
         """Return the log from a line of the job on."""
         return [entry for entry in self.log if entry[0] >= line]
 
-    def kept(self) -> list[str]:
+    def job_record(self) -> list[str]:
         """Return the stored record of the job."""
         return self.store.files.get("job", [])
 
@@ -128,7 +128,7 @@ def say(*lines: str, wait_s: float = 60) -> Script:
     return script
 
 
-def to_its_end(*lines: str) -> Script:
+def until_job_ends(*lines: str) -> Script:
     """Do as say(), but only until the job that the last line starts has ended."""
 
     def has_ended(text: str) -> bool:
@@ -147,7 +147,7 @@ def to_its_end(*lines: str) -> Script:
     return script
 
 
-def streamed(folder: Path, lines: Sequence[str]) -> list[int]:
+def steps_if_streamed(folder: Path, lines: Sequence[str]) -> list[int]:
     """Return the final steps of a sender that streams these lines."""
     bench = Bench(folder)
     bench.run(say(*lines))
@@ -164,8 +164,8 @@ def test_job_does_the_same_as_streamed_lines(tmp_path: Path, end: str) -> None:
     bench.put("CUBE.NC", *PROGRAM, end=end)
     output = bench.run(say("$F=cube.nc"))
     assert output == ["ok", "[MSG:Job CUBE.NC: begins]", "[MSG:Job CUBE.NC: done, 5 lines]"]
-    assert bench.steps == streamed(tmp_path, ("G21G91", "G1X10F1200", "Y5", "Z-1"))
-    assert bench.kept() == []  # a finished job leaves no record
+    assert bench.steps == steps_if_streamed(tmp_path, ("G21G91", "G1X10F1200", "Y5", "Z-1"))
+    assert bench.job_record() == []  # a finished job leaves no record
 
 
 def test_last_line_without_an_end_is_executed(tmp_path: Path) -> None:
@@ -281,7 +281,7 @@ def test_refused_line_ends_the_job_with_its_number_and_the_tool_off(tmp_path: Pa
     assert "[MSG:Job A.NC: line 5 is refused with 20]" in output
     assert bench.moves[-1][0] == 10  # of lines 3 and 4
     assert bench.rig.port.spindle_pwm == 0
-    assert bench.kept()[:2] == ["A.NC", "5"]  # the record: name and line
+    assert bench.job_record()[:2] == ["A.NC", "5"]  # the record: name and line
 
 
 def test_tool_is_off_after_a_file_that_does_not_say_so(tmp_path: Path) -> None:
@@ -379,13 +379,13 @@ def test_hold_stores_the_line_and_a_cycle_start_resumes(tmp_path: Path) -> None:
         # position() writes the steps into its argument; 250 steps/mm, and each line is 1 mm.
         bench.rig.engine.position(bench.rig.scratch)
         line = int(bench.rig.scratch[0] / 250) + 2  # after G91, and counted from 1
-        assert bench.kept()[:2] == ["A.NC", str(line)]
+        assert bench.job_record()[:2] == ["A.NC", str(line)]
         bench.rig.link.send(b"~")
         yield bench.rig.ms(9000)  # the job ends
 
     assert bench.run(script)[-1] == "[MSG:Job A.NC: done, 41 lines]"
     assert bench.steps[0] == 40 * 250
-    assert bench.kept() == []
+    assert bench.job_record() == []
 
 
 @pytest.mark.usefixtures("each_ms")
@@ -406,9 +406,9 @@ def test_reset_ends_the_job_and_reports_its_line(tmp_path: Path) -> None:
     assert "ALARM:3" in output
     assert output[-1] == "ok" and output.count("ok") == 2  # of $F and $X
     line = bench.steps[0] // 250 + 2  # 250 steps/mm; after G91, and counted from 1
-    assert bench.kept()[0] == "A.NC"
-    assert line - 1 <= int(bench.kept()[1]) <= line
-    assert f"[MSG:Job A.NC: stopped at line {bench.kept()[1]}]" in output
+    assert bench.job_record()[0] == "A.NC"
+    assert line - 1 <= int(bench.job_record()[1]) <= line
+    assert f"[MSG:Job A.NC: stopped at line {bench.job_record()[1]}]" in output
 
 
 def test_reset_in_a_dwell_is_no_alarm_and_the_line_is_stored(tmp_path: Path) -> None:
@@ -424,7 +424,7 @@ def test_reset_in_a_dwell_is_no_alarm_and_the_line_is_stored(tmp_path: Path) -> 
 
     output = bench.run(script)
     assert not [line for line in output if line.startswith("ALARM")]
-    assert output[-1] == "[MSG:Job A.NC: stopped at line 2]" and bench.kept()[1] == "2"
+    assert output[-1] == "[MSG:Job A.NC: stopped at line 2]" and bench.job_record()[1] == "2"
 
 
 def test_power_cut_is_reported_at_the_next_start(tmp_path: Path) -> None:
@@ -432,7 +432,7 @@ def test_power_cut_is_reported_at_the_next_start(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.put("A.NC", *LONG)
     bench.run(say("$F=A.NC", wait_s=1))
-    assert bench.kept()[:2] == ["A.NC", "1"]
+    assert bench.job_record()[:2] == ["A.NC", "1"]
     output = Bench(tmp_path, bench.store).run(say("$G", wait_s=0))
     assert output[0] == "[MSG:Job A.NC: did not finish; last recorded line: 1]"
 
@@ -588,7 +588,7 @@ FAST = ("$110=6000", "$111=6000", "$112=6000", "$120=2000", "$121=2000", "$122=2
 HOMED = ("$22=1", "$24=300", "$25=3000", "$27=5", "$130=40", "$131=40", "$132=40", "$H")
 
 
-def homed(bench: Bench) -> Bench:
+def with_switches(bench: Bench) -> Bench:
     """Add limit switches at both ends of each axis, so that $H succeeds; return the bench."""
     listen = bench.rig.on_built
 
@@ -638,15 +638,15 @@ def test_job_continues_at_a_line_as_if_all_before_it_had_been_executed(
 
     Entered at any line, it has the moves and the end of a whole run.
     """
-    whole = homed(Bench(tmp_path))
+    whole = with_switches(Bench(tmp_path))
     whole.put("A.NC", *ROUTER)
-    whole.run(to_its_end(*FAST, *HOMED, "$F=A.NC"))
-    part = homed(Bench(tmp_path))
-    output = part.run(to_its_end(*FAST, *HOMED, f"$F=A.NC@{line}"))
+    whole.run(until_job_ends(*FAST, *HOMED, "$F=A.NC"))
+    part = with_switches(Bench(tmp_path))
+    output = part.run(until_job_ends(*FAST, *HOMED, f"$F=A.NC@{line}"))
     assert f"[MSG:Job A.NC: continues at line {line}]" in output
     assert output[-1] == "[MSG:Job A.NC: done, 11 lines]"
     assert part.steps == whole.steps
-    assert part.behind(line) == whole.behind(line)
+    assert part.moves_from(line) == whole.moves_from(line)
 
 
 # Faults found by trials
@@ -656,7 +656,7 @@ def test_job_can_be_entered_after_words_that_only_lenient_accepts(tmp_path: Path
     """Lines 1, 2 and 4 are ignored by a lenient machine, and must not stop the entry at line 7."""
     bench = Bench(tmp_path, LENIENT=True)
     bench.put("A.NC", "%", "O1", "G21G90", "G43H1", "G0X1", "G1X2F500", "G1X3")
-    output = homed(bench).run(say(*FAST, *HOMED, "$F=A.NC@7", wait_s=10))
+    output = with_switches(bench).run(say(*FAST, *HOMED, "$F=A.NC@7", wait_s=10))
     assert output[-1] == "[MSG:Job A.NC: done, 7 lines]", output[-3:]
     assert bench.moves[-1][0] == 3
 
@@ -704,16 +704,16 @@ def test_hold_is_noted_when_tool_is_parked_not_while_it_moves(tmp_path: Path) ->
         bench.rig.link.send(b"\x84")  # door: the tool is parked
         yield lambda: bench.rig.controller.state.system_motion
         while bench.rig.controller.state.system_motion:
-            assert bench.kept()[1] == "1"  # stored when it began
+            assert bench.job_record()[1] == "1"  # stored when it began
             yield bench.rig.ms(5)
         yield bench.rig.ms(200)
-        assert bench.kept()[1] == "2" and not bench.rig.moving()
+        assert bench.job_record()[1] == "2" and not bench.rig.moving()
         bench.rig.link.send(b"~")
         yield bench.rig.ms(15_000)
 
     assert bench.run(script)[-1] == "[MSG:Job DOOR.NC: done, 2 lines]"
     # 20 mm and -10 mm at 250 steps/mm.
-    assert bench.steps == [5000, 0, -2500] and bench.kept() == []
+    assert bench.steps == [5000, 0, -2500] and bench.job_record() == []
 
 
 @pytest.mark.parametrize("byte", [b"!", b"\x84"])
@@ -724,7 +724,7 @@ def test_hold_while_the_entry_is_computed_keeps_the_tool_in_place(
 
     A hold or door in that time ends the start.
     """
-    bench = homed(Bench(tmp_path))
+    bench = with_switches(Bench(tmp_path))
     bench.put("A.NC", "G21", "M3S800", *["G4P0"] * 3000, "G0X-9")
 
     def script(bench: Bench) -> Iterator[Any]:
@@ -746,7 +746,7 @@ def test_job_continues_with_the_modes_in_force_at_its_start(tmp_path: Path) -> N
 
     After a reset neither is active, but an entry at the stored line has them again.
     """
-    bench = homed(Bench(tmp_path))
+    bench = with_switches(Bench(tmp_path))
     bench.put("A.NC", "G0X1", "G1Y1F6000", "G0X2", *["G1X9F60", "G1X8"] * 9)
 
     def script(bench: Bench) -> Iterator[Any]:
@@ -758,7 +758,7 @@ def test_job_continues_with_the_modes_in_force_at_its_start(tmp_path: Path) -> N
         yield from bench.sender.wait("banner", "\x18")
         bench.moves.clear()
         yield from say("$H", "$F=@", wait_s=20)(bench)
-        assert bench.kept()[1] == "4"
+        assert bench.job_record()[1] == "4"
         assert bench.moves[0][0] == -5  # up, from the switch
         assert bench.moves[1] == (-7, -8, -5)  # across to X2 Y1 of G55
         assert bench.moves[-1][0] in (0, -1)  # X9 or X8 of G55, which has X-9
@@ -769,9 +769,9 @@ def test_job_continues_with_the_modes_in_force_at_its_start(tmp_path: Path) -> N
 
 @pytest.mark.parametrize("line", ["$H", "$J=G91X1F100", "$C", "$SLP"])
 def test_entry_after_commands_of_unknown_effect_is_refused(tmp_path: Path, line: str) -> None:
-    bench = homed(Bench(tmp_path))
+    bench = with_switches(Bench(tmp_path))
     bench.put("A.NC", "G21", line, "G0X-9")
-    output = bench.run(to_its_end(*FAST, *HOMED, "$F=A.NC@3"))
+    output = bench.run(until_job_ends(*FAST, *HOMED, "$F=A.NC@3"))
     assert output[-1] == "[MSG:Job A.NC: line 2 is a $ command of unknown effect: start before it]"
 
 
@@ -805,7 +805,7 @@ def test_refused_entry_restores_modes_and_offsets_and_leaves_the_tool_off(
 
     All are as before the start then, but the tool is off.
     """
-    bench = homed(Bench(tmp_path))
+    bench = with_switches(Bench(tmp_path))
     bench.put("A.NC", "G20G91G92X1", "G43.1Z2", "G54", "G5")
     # Set by the user; $G and $# report modes and offsets.
     modes = ("G55", "M3S500", "F77", "$G", "$#")
@@ -832,18 +832,18 @@ def test_check_mode_keeps_the_stored_record(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.put("A.NC", *LONG)
     bench.run(say("$F=A.NC", wait_s=1))
-    record = bench.kept()
+    record = bench.job_record()
     Bench(tmp_path, bench.store).run(say("$C", "$F=A.NC"))
-    assert bench.kept() == record
+    assert bench.job_record() == record
 
 
 def test_job_is_not_resumed_with_another_file_of_that_name(tmp_path: Path) -> None:
     """The end of the first run() cuts the power during the job."""
-    bench = homed(Bench(tmp_path))
+    bench = with_switches(Bench(tmp_path))
     bench.put("A.NC", *LONG)
     bench.run(say("$F=A.NC", wait_s=1))
     bench.put("A.NC", "G0X1", "G0X2")
-    restarted = homed(Bench(tmp_path, bench.store))
+    restarted = with_switches(Bench(tmp_path, bench.store))
     output = restarted.run(say(*FAST, *HOMED, "$F=@", wait_s=5))
     assert output[-1] == "[MSG:Job A.NC: the file has changed since that job stopped]"
 

@@ -36,7 +36,7 @@ _RECORDED = [
 ]
 
 
-def made(most: float, least: float, full: int) -> Spindle:
+def make_spindle(most: float, least: float, full: int) -> Spindle:
     """Return a spindle with these $30 and $31, on a port with `full` steps of power."""
     port = FakePort()
     port.pwm_max = full
@@ -50,46 +50,46 @@ def made(most: float, least: float, full: int) -> Spindle:
 def test_power_is_grbls_with_the_same_resolution(
     rpm: float, most: float, least: float, power: int
 ) -> None:
-    assert made(most, least, 255).power(rpm) == power
+    assert make_spindle(most, least, 255).power(rpm) == power
 
 
 @pytest.mark.parametrize(("rpm", "most", "least", "power"), _RECORDED)
 def test_power_of_finer_steps_is_within_one_step_of_grbls(
     rpm: float, most: float, least: float, power: int
 ) -> None:
-    assert abs(made(most, least, 1000).power(rpm) * 255 / 1000 - power) <= 1
+    assert abs(make_spindle(most, least, 1000).power(rpm) * 255 / 1000 - power) <= 1
 
 
 def test_s_without_m3_and_m4_is_no_power() -> None:
-    spindle = made(1000, 0, 1000)
+    spindle = make_spindle(1000, 0, 1000)
     assert spindle.block_power(0, 500) == 0
     assert spindle.block_power(CW, 500) == 500
 
 
-def single(x: float) -> float:
+def to_single(x: float) -> float:
     """Return x rounded to single precision."""
     return array("f", [x])[0]
 
 
-def due(
+def grbl_power(
     flags: int, rpm: float, most: float, least: float, full: int, percent: int
 ) -> "tuple[int, float]":
     """Return power and speed in rpm as Grbl computes them, step by step in single precision.
 
     Power that follows speed (M4) is in 1/64 of a step.
     """
-    span = single(most - least)
-    gradient = single((full - 1) / span) if span > 0 else 0.0
+    span = to_single(most - least)
+    gradient = to_single((full - 1) / span) if span > 0 else 0.0
     if gradient * most >= 1 << 23:
         gradient = 0.0
-    rpm = single(rpm * single(single(0.01) * percent))
+    rpm = to_single(rpm * to_single(to_single(0.01) * percent))
     if flags & layout.DYNAMIC:
-        return int(single(min(rpm, most) * gradient) * 64), 0.0
+        return int(to_single(min(rpm, most) * gradient) * 64), 0.0
     if least >= most or rpm >= most:
         return full, most
     if rpm <= least:
         return (1, least) if rpm else (0, 0.0)
-    return int(single(single(rpm - least) * gradient)) + 1, rpm
+    return int(to_single(to_single(rpm - least) * gradient)) + 1, rpm
 
 
 @given(
@@ -109,18 +109,18 @@ def due(
 def test_power_is_computed_as_in_single_precision(
     rpm: float, most: float, least: float, full: int, percent: int, follows: bool
 ) -> None:
-    """due() computes the expected power and speed.
+    """grbl_power() computes the expected power and speed.
 
     rpm: S. most, least: $30 and $31. full: steps of power. percent: override. follows: M4, whose
     power follows the speed of motion.
     """
-    spindle = made(most, least, full)
+    spindle = make_spindle(most, least, full)
     state = spindle._state
     state.override_spindle(percent)
     # No value that block_power() could write: the speed must be written anew.
     state.spindle[RPM] = -1
     flags = CCW | layout.DYNAMIC if follows else CW
-    power, speed = due(flags, rpm, most, least, full, percent)
+    power, speed = grbl_power(flags, rpm, most, least, full, percent)
     assert spindle.block_power(flags, rpm) == power
     assert state.spindle[RPM] == speed
 
@@ -211,7 +211,7 @@ def test_laser_given_back_by_the_end_of_a_hold_is_no_change_to_report(
 # $33
 
 
-def talk(bench: Bench, *lines: str) -> "list[list[str]]":
+def answers_to(bench: Bench, *lines: str) -> "list[list[str]]":
     """Return the answers to each line, after the start of the machine."""
     answers = []
 
@@ -227,7 +227,7 @@ def talk(bench: Bench, *lines: str) -> "list[list[str]]":
 def test_frequency_out_of_range_is_refused_and_nothing_changes(hz: float) -> None:
     """Neither the setting, the output nor the stored file changes."""
     bench = Bench({}, "sim_laser")
-    refused, listed = talk(bench, f"$33={hz:f}", "$$")
+    refused, listed = answers_to(bench, f"$33={hz:f}", "$$")
     assert refused == ["error:3"]
     # 5000 Hz is the default.
     assert "$33=5000" in listed and bench.port.pwm.freq() == 5000
@@ -239,13 +239,13 @@ def test_frequency_out_of_range_is_refused_and_nothing_changes(hz: float) -> Non
 @pytest.mark.parametrize("hz", [10, 100_000])
 def test_limits_of_the_frequency_are_accepted(hz: int) -> None:
     bench = Bench({}, "sim_laser")
-    assert talk(bench, f"$33={hz}") == [["ok"]]
+    assert answers_to(bench, f"$33={hz}") == [["ok"]]
     assert bench.port.pwm.freq() == hz
 
 
 def test_board_without_a_laser_has_no_frequency_setting() -> None:
     bench = Bench({})
-    refused, listed = talk(bench, "$33=5000", "$$")
+    refused, listed = answers_to(bench, "$33=5000", "$$")
     assert refused == ["error:3"]
     assert not any(line.startswith("$33") for line in listed)
 
@@ -253,7 +253,7 @@ def test_board_without_a_laser_has_no_frequency_setting() -> None:
 def test_impossible_stored_frequency_is_replaced_by_the_nearest() -> None:
     bench = Bench({}, "sim_laser")
     bench.rig.store.files["settings"] = ["$33=7"]
-    talk(bench)
+    answers_to(bench)
     assert bench.port.pwm.freq() == 10
 
 

@@ -236,7 +236,7 @@ def test_m400_is_answered_when_motion_has_ended() -> None:
         sender, link = bench.sender, bench.rig.link
         yield from sender.wait("banner", "")
         link.send(b"G1 X5 F500\n")
-        yield bench.rig.ms(200)
+        yield bench.rig.ms(200)  # in motion
         link.send(b"M114\n")
         yield bench.rig.ms(10)
         sender.poll()
@@ -288,7 +288,7 @@ def test_m6_waits_for_the_user_with_the_spindle_off() -> None:
 
 # Drilling
 
-AT = ("G0 Z10", "G0 X1 Y1")  # where the tool is before a cycle
+TO_START = ("G0 Z10", "G0 X1 Y1")  # where the tool is before a cycle
 
 
 @pytest.mark.parametrize(
@@ -359,7 +359,7 @@ AT = ("G0 Z10", "G0 X1 Y1")  # where the tool is before a cycle
 )
 def test_cycle_drills_as_in_the_standard(cycle: "Sequence[str]", by_hand: "Sequence[str]") -> None:
     """A cycle makes the same moves as its lines written by hand for a board without cycles."""
-    assert moves(*AT, *cycle) == moves(*AT, *by_hand, lenient=False)
+    assert moves(*TO_START, *cycle) == moves(*TO_START, *by_hand, lenient=False)
 
 
 @pytest.mark.parametrize(
@@ -421,7 +421,7 @@ def test_modal_numbers_with_another_meaning_are_not_reused(line: str, error: int
     A line that changes units, mode or plane cannot reuse them; the next line still can.
     """
     bench = Bench()
-    replies = bench.say(*AT, HOLE, "$G", line, "$G", "X6")
+    replies = bench.say(*TO_START, HOLE, "$G", line, "$G", "X6")
     assert replies[4] == [f"error:{error}"] and replies[3] == replies[5]
     # The hole of the last line, X6: over it, to R, to Z, and back.
     assert [move[1:] for move in bench.moves[-4:]] == [(6, 5, z) for z in (10, 2, -2, 10)]
@@ -432,7 +432,7 @@ def test_ignored_words_may_be_in_a_line_of_places(word: str) -> None:
     """A line of places (X6) repeats the hole of an active cycle."""
     bench = Bench()
     line = f"X6{word}" if word == "%" else f"{word} X6"
-    replies = bench.say(*AT, HOLE, line)
+    replies = bench.say(*TO_START, HOLE, line)
     assert replies[-1][-1] == "ok"
     last_z = 2 if word == "G99" else 10  # G99: up to R only
     assert [move[1:] for move in bench.moves[-4:]] == [(6, 5, z) for z in (10, 2, -2, last_z)]
@@ -441,13 +441,13 @@ def test_ignored_words_may_be_in_a_line_of_places(word: str) -> None:
 def test_new_plane_starts_the_cycle_anew() -> None:
     """In G18 the drilling axis is Y: Y-3 is the bottom, R4 the height above it."""
     bench = Bench()
-    bench.say(*AT, HOLE, "G18 X6 Y-3 R4")
+    bench.say(*TO_START, HOLE, "G18 X6 Y-3 R4")
     # Y to R 4, down to -3, and back to the Y before the cycle, 5.
     assert [move[1:] for move in bench.moves[-3:]] == [(6, 4, 10), (6, -3, 10), (6, 5, 10)]
 
 
 def test_pecks_smaller_than_a_step_are_refused() -> None:
-    assert answers(*AT, "G83 X5 Z-10 R2 Q0.0000001 F100")[-1] == "error:4"
+    assert answers(*TO_START, "G83 X5 Z-10 R2 Q0.0000001 F100")[-1] == "error:4"
 
 
 def test_reset_in_check_mode_acts_during_any_number_of_holes() -> None:
@@ -470,7 +470,7 @@ def test_reset_in_check_mode_acts_during_any_number_of_holes() -> None:
 
 def test_m6_names_the_last_tool_word_and_none_after_a_reset() -> None:
     """T3 is in force at the first M6. The reset clears T7, so the second M6 names tool 0."""
-    all_replies = Bench().say(*AT, HOLE, "X6 T3", "M6", "T7", "G4 P0", "\x18", "M6")
+    all_replies = Bench().say(*TO_START, HOLE, "X6 T3", "M6", "T7", "G4 P0", "\x18", "M6")
     messages = [
         text for replies in all_replies for text in replies if text.startswith("[MSG:Insert tool")
     ]
@@ -488,14 +488,14 @@ def test_end_of_a_program_ends_g99_with_the_cycle() -> None:
     """After M2 the retract is to the Z before the cycle again (G98)."""
     hole = "G81 X5 Z-2 R2 F1000"
     bench = Bench()
-    bench.say(*AT, "G99 " + hole, "M2", "G0 Z10", hole)
+    bench.say(*TO_START, "G99 " + hole, "M2", "G0 Z10", hole)
     # Z of the moves: bottom, R (G99); 10; over the hole, R, bottom, and back to 10 (G98).
     assert [move[3] for move in bench.moves[-7:]] == [-2, 2, 10, 10, 2, -2, 10]
 
 
 def test_reset_ends_a_cycle() -> None:
     bench = Bench()
-    bench.say(*AT, "G81 X5 Z-2 R2 F1000", "G4 P0", "\x18", "X7")
+    bench.say(*TO_START, "G81 X5 Z-2 R2 F1000", "G4 P0", "\x18", "X7")
     assert bench.moves[-1][0] == "rapid" and bench.moves[-1][1] == 7
 
 
@@ -527,7 +527,7 @@ def test_every_line_is_executed_or_refused_without_effect(lines: "list[str]") ->
 # Extras that define such words
 
 
-def beside(install: "Callable[[Cnc], None]", monkeypatch: pytest.MonkeyPatch) -> Bench:
+def with_extra(install: "Callable[[Cnc], None]", monkeypatch: pytest.MonkeyPatch) -> Bench:
     """Return a lenient machine with an extra whose install() is this function."""
     extra = ModuleType("mine")
     extra.install = install  # type: ignore[attr-defined]
@@ -547,7 +547,7 @@ def test_words_of_extras_have_precedence(monkeypatch: pytest.MonkeyPatch) -> Non
         cnc.add_g(81, lambda x: calls.append(("hole", x)), "X")
         cnc.add_m(100, calls.append, "X")
 
-    bench = beside(install, monkeypatch)
+    bench = with_extra(install, monkeypatch)
     all_replies = bench.say(
         "T3 M6", "G81 X2", "G81 X2 Y1", "T3 M6 G64", "G82 X1 Z-1 R1 P0 F900", "X2", "M100 X7"
     )
@@ -587,8 +587,8 @@ def test_lines_of_handlers_are_not_part_of_a_cycle(monkeypatch: pytest.MonkeyPat
         cnc.add_m(100, lower)
         cnc.add_g(43, refuse, "H")
 
-    bench = beside(install, monkeypatch)
-    all_replies = bench.say(*AT, HOLE, "M100", "X7", "G43 H1", "G0 G43 H1 Z5")
+    bench = with_extra(install, monkeypatch)
+    all_replies = bench.say(*TO_START, HOLE, "M100", "X7", "G43 H1", "G0 G43 H1 Z5")
     assert [move[1:] for move in bench.moves[-4:]] == [(7, 5, z) for z in (20, 2, -2, 10)]
     assert [replies[-1] for replies in all_replies[-2:]] == ["error:4", "error:36"]
 
@@ -600,7 +600,7 @@ def test_extra_with_a_cycle_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
         cnc.add_cycle(86, lambda *_: ())
 
     with pytest.raises(ValueError, match="LENIENT has its own canned cycles"):
-        beside(install, monkeypatch).say("G0X1")
+        with_extra(install, monkeypatch).say("G0X1")
 
 
 def test_holes_begin_at_the_position_left_by_a_handler(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -621,7 +621,7 @@ def test_holes_begin_at_the_position_left_by_a_handler(monkeypatch: pytest.Monke
 
         hooks.execute = execute
 
-    bench = beside(install, monkeypatch)
+    bench = with_extra(install, monkeypatch)
     bench.say("G0 Z10", "T4 G81 X8 Z-5 R3 F600")
     assert [move[3] for move in bench.moves] == [10, -2, 3, 3, -5, 3]
 
@@ -690,7 +690,7 @@ _SMALL = (
     "vcarve_fengrave.tap",
     "vectric_deer.tap",
 )
-_FIRST = 100  # lines of each that are used; only moves follow
+_MAX_LINES = 100  # lines of each that are used; only moves follow
 # The changes that a user of Grbl makes by hand, except drilling.
 _BY_HAND = (
     (r"^(N\d+)? *%|^O\d+.*", ""),
@@ -743,6 +743,6 @@ def _drilled(drill: "dict[str, str]", words: "dict[str, str]") -> "Iterator[str]
 @needs_programs
 @pytest.mark.parametrize("name", _SMALL)
 def test_programs_move_like_a_copy_corrected_by_hand(name: str, board: str) -> None:
-    lines = read_lines(_PROGRAMS / name)[:_FIRST]
+    lines = read_lines(_PROGRAMS / name)[:_MAX_LINES]
     as_it_is = [line.decode("latin-1") for line in lines]
     assert motion(as_it_is, board) == motion(by_hand(lines), "rpi_pico")

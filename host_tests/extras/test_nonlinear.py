@@ -34,7 +34,7 @@ if str(_EXAMPLES) not in sys.path:
 _FINE = 1000.0  # steps per unit of a joint: fine, so that steps hide no error
 _TICK_HZ = 13_107_200
 _WINDOW_S = 0.02  # in which rates are measured
-_LOOK = 7  # checks every 7th pulse; a chord has some hundred
+_PULSES_PER_CHECK = 7  # checks every 7th pulse; a chord has some hundred
 _KINDS = ("scara", "polar")
 # A place in reach with space around it, X and Y in mm, for each machine.
 _MIDDLE = {"scara": (0.0, 120.0), "polar": (60.0, 20.0)}
@@ -61,12 +61,12 @@ def geometry(kind: str) -> Any:
     return __import__(kind)
 
 
-def machine(kind: str, settings: "dict[int, float] | None" = None, **options: Any) -> Machine:
+def make_machine(kind: str, settings: "dict[int, float] | None" = None, **options: Any) -> Machine:
     """Return that machine, idle."""
     return Machine(settings, board(kind, **options), watched=False)
 
 
-def played(
+def machine_after(
     kind: str,
     lines: Sequence[str],
     settings: "dict[int, float] | None" = None,
@@ -74,7 +74,7 @@ def played(
     **options: Any,
 ) -> Machine:
     """Return the machine after these lines; events: real-time bytes at their ms."""
-    cnc = machine(kind, settings, **options)
+    cnc = make_machine(kind, settings, **options)
     cnc.play(lines, events)
     return cnc
 
@@ -82,10 +82,10 @@ def played(
 def joints(kind: str, steps: Sequence[int], per_unit: float = _FINE) -> "list[float]":
     """Return the joints for these motor steps since power-up."""
     start: Sequence[float] = geometry(kind).START
-    return [begin + n / per_unit for begin, n in zip(start, steps, strict=True)]
+    return [start_position + n / per_unit for start_position, n in zip(start, steps, strict=True)]
 
 
-def place(kind: str, steps: Sequence[int], per_unit: float = _FINE) -> Place:
+def tool_position(kind: str, steps: Sequence[int], per_unit: float = _FINE) -> Place:
     """Return the tool's position in mm for these motor steps since power-up."""
     position = array("d", (0.0, 0.0, 0.0))
     geometry(kind).forward(joints(kind, steps, per_unit), position)
@@ -110,47 +110,49 @@ def pulses(cnc: Machine) -> "Iterator[tuple[float, int, int]]":
 
 def step_mm(kind: str, steps: Sequence[int]) -> float:
     """Return the motion of the tool in mm if all motors make a step, at most."""
-    position = place(kind, steps)
+    position = tool_position(kind, steps)
     total = 0.0
     for motor in range(3):
         neighbour = list(steps)
         neighbour[motor] += 1
-        total += math.dist(position, place(kind, neighbour))
+        total += math.dist(position, tool_position(kind, neighbour))
     return total
 
 
-def from_line(at: Place, begin: Place, end: Place) -> float:
+def from_line(at: Place, start_position: Place, end: Place) -> float:
     """Return the distance of a place to a straight line with ends, in mm."""
-    vector = [b - a for a, b in zip(begin, end, strict=True)]
+    vector = [b - a for a, b in zip(start_position, end, strict=True)]
     length_sqr = sum(w * w for w in vector)
-    part = sum((p - a) * w for p, a, w in zip(at, begin, vector, strict=True)) / (
+    part = sum((p - a) * w for p, a, w in zip(at, start_position, vector, strict=True)) / (
         length_sqr or 1.0
     )
     part = min(max(part, 0.0), 1.0)
-    return math.dist(at, [a + part * w for a, w in zip(begin, vector, strict=True)])
+    return math.dist(at, [a + part * w for a, w in zip(start_position, vector, strict=True)])
 
 
-def strayed(cnc: Machine, kind: str, away: "Callable[[Place], float]") -> float:
-    """Return the largest distance from the path in mm, less a step; away(place): the distance."""
+def largest_deviation(cnc: Machine, kind: str, distance: "Callable[[Place], float]") -> float:
+    """Return the largest distance from the path in mm, less a step; distance(place): from it."""
     steps = [0, 0, 0]
     largest_mm = 0.0
     for i, (_, motor, direction) in enumerate(pulses(cnc)):
         steps[motor] += direction
-        if i % _LOOK == 0:
-            largest_mm = max(largest_mm, away(place(kind, steps)) - step_mm(kind, steps))
+        if i % _PULSES_PER_CHECK == 0:
+            largest_mm = max(
+                largest_mm, distance(tool_position(kind, steps)) - step_mm(kind, steps)
+            )
     return largest_mm
 
 
-def begin(kind: str) -> Place:
+def start_position(kind: str) -> Place:
     """Return the tool's position at power-up."""
-    return place(kind, (0, 0, 0))
+    return tool_position(kind, (0, 0, 0))
 
 
 def random_places(kind: str, seed: int, count: int) -> "list[Place]":
     """Return count + 1 places from begin() on; all straight lines between them are in reach."""
     rng = random.Random(seed)
     model = geometry(kind)
-    places = [begin(kind)]
+    places = [start_position(kind)]
     while len(places) <= count:
         x, y = _MIDDLE[kind]
         spread = 55 if kind == "scara" else 85
@@ -167,7 +169,7 @@ def random_places(kind: str, seed: int, count: int) -> "list[Place]":
     return places
 
 
-def words(at: Place) -> str:
+def axis_words(at: Place) -> str:
     """Return a place as words of a program."""
     return "".join(f"{letter}{mm:.3f}" for letter, mm in zip("XYZ", at, strict=True))
 
@@ -177,13 +179,15 @@ def words(at: Place) -> str:
 def test_lines_keep_within_the_arc_tolerance(kind: str, tolerance: float) -> None:
     """Random lines of the tool, which joints follow by many short chords."""
     places = random_places(kind, 7, 4)
-    lines = [f"G1{words(end)}F3000" for end in places[1:]]
+    lines = [f"G1{axis_words(end)}F3000" for end in places[1:]]
     # $12 is the arc tolerance, in mm.
-    cnc = played(kind, lines, {12: tolerance})
+    cnc = machine_after(kind, lines, {12: tolerance})
     assert "error" not in " ".join(cnc.received)
-    error_mm = strayed(cnc, kind, lambda at: min(from_line(at, a, b) for a, b in pairwise(places)))
+    error_mm = largest_deviation(
+        cnc, kind, lambda at: min(from_line(at, a, b) for a, b in pairwise(places))
+    )
     assert error_mm <= tolerance
-    assert math.dist(place(kind, cnc.physical()), places[-1]) < 0.01
+    assert math.dist(tool_position(kind, cnc.physical()), places[-1]) < 0.01
 
 
 @pytest.mark.parametrize("kind", _KINDS)
@@ -191,15 +195,15 @@ def test_arcs_and_helices_keep_within_the_arc_tolerance(kind: str) -> None:
     """A line to a circle with radius 20 mm, half of it down to Z-5, and the same half back."""
     x, y = _MIDDLE[kind]
     first = (x + 20.0, y, 0.0)
-    lines = [f"G1{words(first)}F3000", f"G3X{x - 20}Y{y}Z-5I-20J0", f"G2X{x + 20}Y{y}I20J0"]
-    cnc = played(kind, lines, {12: 0.02})
+    lines = [f"G1{axis_words(first)}F3000", f"G3X{x - 20}Y{y}Z-5I-20J0", f"G2X{x + 20}Y{y}I20J0"]
+    cnc = machine_after(kind, lines, {12: 0.02})
 
-    def away(at: Place) -> float:
+    def distance(at: Place) -> float:
         from_circle = abs(math.hypot(at[0] - x, at[1] - y) - 20)
-        return min(from_line(at, begin(kind), first), from_circle)
+        return min(from_line(at, start_position(kind), first), from_circle)
 
-    assert strayed(cnc, kind, away) <= 0.02
-    assert math.dist(place(kind, cnc.physical()), (x + 20, y, -5)) < 0.01
+    assert largest_deviation(cnc, kind, distance) <= 0.02
+    assert math.dist(tool_position(kind, cnc.physical()), (x + 20, y, -5)) < 0.01
 
 
 @pytest.mark.thorough
@@ -207,16 +211,16 @@ def test_plotter_moves_straight_through_and_past_the_middle_of_its_table() -> No
     """At the middle of a polar machine's table, a straight line turns the table by 180 degrees."""
     for y_mm in (0.0, 0.001, 0.3):
         lines = ["G0X40Y0", f"G1X40Y{y_mm}F3000", f"G1X-40Y{y_mm}"]
-        cnc = played("polar", lines, {12: 0.02})
+        cnc = machine_after("polar", lines, {12: 0.02})
         places = [(0.0, 0.0, 0.0), (40.0, 0.0, 0.0), (40.0, y_mm, 0.0), (-40.0, y_mm, 0.0)]
         lines_of_path = list(pairwise(places))
-        error_mm = strayed(
+        error_mm = largest_deviation(
             cnc,
             "polar",
             lambda at, lines_of_path=lines_of_path: min(from_line(at, *w) for w in lines_of_path),
         )
         assert error_mm <= 0.02, y_mm
-        assert math.dist(place("polar", cnc.physical()), places[-1]) < 0.01
+        assert math.dist(tool_position("polar", cnc.physical()), places[-1]) < 0.01
 
 
 def rates(cnc: Machine) -> "list[list[float]]":
@@ -243,7 +247,7 @@ def test_joints_keep_their_rate_and_acceleration(kind: str, word: str) -> None:
         "polar": ["X100Y1", "X-100Y1", "X-100Y-3", "X100Y-3"],
     }[kind]
     for end, before in zip(ends[1:], ends, strict=False):
-        cnc = machine(kind, {12: 0.02})
+        cnc = make_machine(kind, {12: 0.02})
         rows_before: list[Any] = []
 
         def script(
@@ -254,10 +258,10 @@ def test_joints_keep_their_rate_and_acceleration(kind: str, word: str) -> None:
         ) -> Iterator[Any]:
             """Move to the first place, note the number of rows, and make the measured move."""
             yield from cnc.start()
-            yield from cnc.sender.wait("idle", f"G0{before}\n", 1)
+            yield from cnc.sender.wait("idle", f"G0{before}\n", settle=1)
             cnc.take()
             rows_before.append(len(cnc.rows))
-            yield from cnc.sender.wait("idle", f"{word}{end}\n", 1)
+            yield from cnc.sender.wait("idle", f"{word}{end}\n", settle=1)
 
         cnc.run(script())
         cnc.rows = cnc.rows[rows_before[0] :]
@@ -276,12 +280,12 @@ def test_joints_keep_their_rate_and_acceleration(kind: str, word: str) -> None:
 def test_feed_rate_is_the_tools_speed_along_its_path(kind: str) -> None:
     """F1200 is 20 mm/s: the speed between places of the last line, without its ends."""
     x, y = _MIDDLE[kind]
-    cnc = played(kind, [f"G0X{x - 30}Y{y}", "G4P0.1", f"G1X{x + 30}F1200"], {12: 0.02})
+    cnc = machine_after(kind, [f"G0X{x - 30}Y{y}", "G4P0.1", f"G1X{x + 30}F1200"], {12: 0.02})
     steps = [0, 0, 0]
     positions_by_s = []
     for second, motor, direction in pulses(cnc):
         steps[motor] += direction
-        position = place(kind, steps)
+        position = tool_position(kind, steps)
         positions_by_s.append((second, position))
     middle = [(s, position) for s, position in positions_by_s if x - 20 < position[0] < x + 20]
     # The rapid has crossed these places before: the line takes 3 s of the end.
@@ -295,7 +299,7 @@ def test_feed_rate_is_the_tools_speed_along_its_path(kind: str) -> None:
 def test_inverse_time_is_kept_for_a_line_of_many_chords(kind: str) -> None:
     """G93 F20 asks for 1/20 min, 3 s. The line begins after the last gap in motion (G4)."""
     x, y = _MIDDLE[kind]
-    cnc = played(kind, [f"G0X{x - 30}Y{y}", "G4P0.1", f"G93G1X{x + 30}F20"])
+    cnc = machine_after(kind, [f"G0X{x - 30}Y{y}", "G4P0.1", f"G93G1X{x + 30}F20"])
     last_start, row = cnc.rows[-1]
     row_ends = [start + row[ROW_TICKS] for start, row in cnc.rows]
     starts_after_gaps = [
@@ -311,7 +315,7 @@ def test_inverse_time_is_kept_for_a_line_of_many_chords(kind: str) -> None:
 )
 def test_unreachable_target_is_refused_without_any_effect(kind: str, line: str) -> None:
     """Y300 is out of reach. M3, S500 and the motion mode of the refused line must not apply."""
-    cnc = played(kind, ["M3S500" + line, "$G"])
+    cnc = machine_after(kind, ["M3S500" + line, "$G"])
     assert "error:33" in cnc.received
     assert any("is out of reach" in x for x in cnc.received)
     assert cnc.physical() == [0, 0, 0]
@@ -325,15 +329,15 @@ def test_line_between_reachable_places_is_refused_if_it_leaves_the_reach() -> No
     model = geometry("scara")
     ends = (-60.0, 40.0, 0.0), (60.0, 40.0, 0.0)
     assert all(model.inverse(end, list(model.START)) for end in ends)
-    cnc = played("scara", ["G0X-60Y40", "G1X60Y40F900"])
+    cnc = machine_after("scara", ["G0X-60Y40", "G1X60Y40F900"])
     assert "error:33" in cnc.received
     assert "[MSG:X-" in " ".join(cnc.received)  # the place where it would leave it
-    assert math.dist(place("scara", cnc.physical()), ends[0]) < 0.01
+    assert math.dist(tool_position("scara", cnc.physical()), ends[0]) < 0.01
 
 
 @pytest.mark.parametrize("kind", _KINDS)
 def test_unreachable_jog_is_refused_with_the_error_of_jogs(kind: str) -> None:
-    cnc = played(kind, ["$J=G91X900F900", "$J=G90X0Y500F900"])
+    cnc = machine_after(kind, ["$J=G91X900F900", "$J=G90X0Y500F900"])
     assert cnc.received.count("error:15") == 2
     assert cnc.physical() == [0, 0, 0]
 
@@ -346,20 +350,20 @@ def test_jog_is_straight_and_can_be_cancelled_anywhere(kind: str) -> None:
     """
     x, y = _MIDDLE[kind]
     for ms in range(20, 1500, 130):
-        cnc = machine(kind, {12: 0.002}, PLANNER_BLOCKS=8)
+        cnc = make_machine(kind, {12: 0.002}, PLANNER_BLOCKS=8)
         cancelled = []
 
         def script(cnc: Machine = cnc, ms: int = ms, cancelled: Any = cancelled) -> Iterator[Any]:
             """Jog, cancel (0x85) after some ms, note both positions, and move to the middle."""
             yield from cnc.start()
-            yield from cnc.sender.wait("idle", f"G0X{x - 35}Y{y}\n", 1)
+            yield from cnc.sender.wait("idle", f"G0X{x - 35}Y{y}\n", settle=1)
             cnc.rig.link.send(f"$J=X{x + 40}F3000\n".encode())
             yield cnc.rig.ms(ms)
             cnc.rig.link.send(b"\x85")
             yield from cnc.rest()
             cnc.take()
-            cancelled.append((cnc.reported(), place(kind, cnc.physical())))
-            yield from cnc.sender.wait("idle", f"G1X{x}Y{y}F3000\n", 1)
+            cancelled.append((cnc.reported(), tool_position(kind, cnc.physical())))
+            yield from cnc.sender.wait("idle", f"G1X{x}Y{y}F3000\n", settle=1)
             yield from cnc.rest()
 
         cnc.run(script())
@@ -368,7 +372,7 @@ def test_jog_is_straight_and_can_be_cancelled_anywhere(kind: str) -> None:
         assert position[1] == pytest.approx(y, abs=0.01)
         # As far as the feed allows, and 6 mm to brake.
         assert x - 35 <= position[0] < x - 35 + 50 * ms / 1000 + 6
-        assert math.dist(place(kind, cnc.physical()), (x, y, 0)) < 0.01
+        assert math.dist(tool_position(kind, cnc.physical()), (x, y, 0)) < 0.01
 
 
 @pytest.mark.thorough
@@ -376,14 +380,14 @@ def test_jog_is_straight_and_can_be_cancelled_anywhere(kind: str) -> None:
 def test_hold_anywhere_keeps_the_path(kind: str) -> None:
     """A hold at different ms, ended 400 ms later, does not move the tool off its lines."""
     places = random_places(kind, 3, 4)
-    lines = [f"G1{words(end)}F3000" for end in places[1:]]
+    lines = [f"G1{axis_words(end)}F3000" for end in places[1:]]
     for ms in range(700, 2500, 480):
-        cnc = played(kind, lines, {12: 0.02}, [(ms, "!"), (ms + 400, "~")])
-        error_mm = strayed(
+        cnc = machine_after(kind, lines, {12: 0.02}, [(ms, "!"), (ms + 400, "~")])
+        error_mm = largest_deviation(
             cnc, kind, lambda at: min(from_line(at, a, b) for a, b in pairwise(places))
         )
         assert error_mm <= 0.02
-        assert math.dist(place(kind, cnc.physical()), places[-1]) < 0.01
+        assert math.dist(tool_position(kind, cnc.physical()), places[-1]) < 0.01
 
 
 @pytest.mark.parametrize("kind", _KINDS)
@@ -391,8 +395,8 @@ def test_position_is_right_after_a_reset_in_motion(kind: str) -> None:
     """A reset (0x18) at different ms: the report is that of the motors' steps."""
     x, y = _MIDDLE[kind]
     for ms in range(500, 1400, 170):
-        cnc = played(kind, [f"G1X{x}Y{y}F1500", f"G1X{x + 20}F1500"], {}, [(ms, "\x18")])
-        at = place(kind, cnc.physical())
+        cnc = machine_after(kind, [f"G1X{x}Y{y}F1500", f"G1X{x + 20}F1500"], {}, [(ms, "\x18")])
+        at = tool_position(kind, cnc.physical())
         assert cnc.reported() == pytest.approx(at, abs=0.002)
 
 
@@ -403,11 +407,11 @@ def test_probe_reports_a_contact_in_the_middle_of_a_long_line(kind: str) -> None
     The report has the position of that step, and the tool stops within 3 mm.
     """
     x, y = _MIDDLE[kind]
-    cnc = machine(kind, {12: 0.002}, PLANNER_BLOCKS=8)
+    cnc = make_machine(kind, {12: 0.002}, PLANNER_BLOCKS=8)
     places = []
 
     def set_probe() -> None:
-        at = place(kind, cnc.physical())
+        at = tool_position(kind, cnc.physical())
         cnc.rig.port.push({"probe": at[0] > x + 10.0})
         places.append(at)
 
@@ -427,7 +431,7 @@ def test_probe_reports_a_contact_in_the_middle_of_a_long_line(kind: str) -> None
     assert reported_mm == pytest.approx(contact, abs=0.001)
     assert reported_mm[0] == pytest.approx(x + 10, abs=0.3)
     assert reported_mm[1] == pytest.approx(y, abs=0.01)
-    assert math.dist(place(kind, cnc.physical()), (x - 30, y, 0)) < 0.01
+    assert math.dist(tool_position(kind, cnc.physical()), (x - 30, y, 0)) < 0.01
     assert max(at[0] for at in places) < x + 13
 
 
@@ -438,13 +442,13 @@ def test_touch_that_ends_during_a_hold_is_ignored_on_a_long_line(kind: str) -> N
     G38.3 without contact then moves on to its target, and reports failure (:0).
     """
     x, y = _MIDDLE[kind]
-    cnc = machine(kind, {12: 0.002}, PLANNER_BLOCKS=8)
+    cnc = make_machine(kind, {12: 0.002}, PLANNER_BLOCKS=8)
     rig = cnc.rig
 
     def script() -> "Iterator[Any]":
         """Probe towards x + 30, hold, close and open the probe meanwhile, and resume."""
         yield from cnc.start()
-        yield from cnc.sender.wait("idle", f"G0X{x - 30}Y{y}\n", 1)
+        yield from cnc.sender.wait("idle", f"G0X{x - 30}Y{y}\n", settle=1)
         rig.link.send(f"G38.3X{x + 30}F1500\n".encode())
         yield rig.ms(600)  # in motion
         rig.link.send(b"!")
@@ -462,7 +466,7 @@ def test_touch_that_ends_during_a_hold_is_ignored_on_a_long_line(kind: str) -> N
     assert cnc.received[-1].startswith("<Idle"), cnc.received
     (report,) = [line for line in cnc.received if line.startswith("[PRB:")]
     assert report.endswith(":0]")
-    assert math.dist(place(kind, cnc.physical()), (x + 30, y, 0)) < 0.01
+    assert math.dist(tool_position(kind, cnc.physical()), (x + 30, y, 0)) < 0.01
 
 
 @pytest.mark.parametrize("kind", _KINDS)
@@ -472,7 +476,7 @@ def test_homing_moves_joints_to_their_switches_and_sets_the_tools_position(kind:
     After the pull-off from there, the tool's position is that of forward().
     """
     model = geometry(kind)
-    cnc = machine(kind, {22: 1, 24: 600, 25: 3000, 26: 5})
+    cnc = make_machine(kind, {22: 1, 24: 600, 25: 3000, 26: 5})
     pull_off = {"scara": 5.0, "polar": 2.0}[kind]  # $27 of the example boards
     at_upper_end = [True, kind == "polar", True]  # of the range of each joint
     for i, letter in enumerate("xyz"):
@@ -500,16 +504,16 @@ def test_soft_limits_apply_to_the_tools_position(kind: str) -> None:
     x, y = _MIDDLE[kind]
     settings = {20: 1, 22: 1, 130: x + 10, 131: 200}
     reset = [(6000, "\x18")]
-    cnc = played(kind, ["$X", f"G0X{x + 5}Y{y}", "G4P0.1", f"G0X{x + 11}"], settings, reset)
+    cnc = machine_after(kind, ["$X", f"G0X{x + 5}Y{y}", "G4P0.1", f"G0X{x + 11}"], settings, reset)
     assert "ALARM:2" in cnc.received
-    assert math.dist(place(kind, cnc.physical()), (x + 5, y, 0)) < 0.01
+    assert math.dist(tool_position(kind, cnc.physical()), (x + 5, y, 0)) < 0.01
     arc_lines = [f"G0X{x + 5}Y{y}", f"G2X{x + 5}Y{y - 10}J-5F900"]
-    cnc = played(kind, ["$X", *arc_lines], {**settings, 130: x + 8}, reset)
+    cnc = machine_after(kind, ["$X", *arc_lines], {**settings, 130: x + 8}, reset)
     assert "ALARM:2" in cnc.received
 
 
 def test_check_mode_refuses_the_same_lines_and_moves_nothing() -> None:
-    cnc = played("scara", ["$C", "G0X0Y120", "G0X0Y300", "G0X40", "$C"])
+    cnc = machine_after("scara", ["$C", "G0X0Y120", "G0X0Y300", "G0X40", "$C"])
     answers = [x for x in cnc.received if x in ("ok", "error:33")]
     assert answers[:4] == ["ok", "ok", "error:33", "ok"]
     assert cnc.physical() == [0, 0, 0]
@@ -520,9 +524,9 @@ def test_both_moves_of_g28_are_checked(kind: str) -> None:
     """G28 moves by way of the given place. Y400 is out of reach, and refuses the whole line."""
     x, y = _MIDDLE[kind]
     lines = [f"G0X{x}Y{y}", "G28.1", f"G0X{x + 20}", "G28X0Y400", f"G28Y{y - 10}"]
-    cnc = played(kind, lines)
+    cnc = machine_after(kind, lines)
     assert cnc.received.count("error:33") == 1
-    assert math.dist(place(kind, cnc.physical()), (x + 20, y, 0)) < 0.01
+    assert math.dist(tool_position(kind, cnc.physical()), (x + 20, y, 0)) < 0.01
 
 
 def test_board_without_user_kinematics_has_none_of_its_modules() -> None:
@@ -568,4 +572,4 @@ def test_conflicting_options_are_refused_with_the_reason(
     options: "dict[str, Any]", said: str
 ) -> None:
     with pytest.raises(ValueError, match=said):
-        machine("scara", **options).play([])
+        make_machine("scara", **options).play([])

@@ -5,9 +5,9 @@ cut in that time leaves a part of it.
 
 The failing supply opens a contact (the edge), and lasts 100 ms longer. Power.fails_in_job(ms) runs
 a job and fails so late after its beginning. Then `writes` has the ms of page writes after the
-edge, `steps` the motors' steps at each ms. Power.cut(ms) returns the flash if the supply is gone
-at that ms; Power.starts(flash) returns the output of the next start. Power.at(ms) is the position
-then. ALARM:36 is that of a failed supply, and ALARM:3 that of a lost position.
+edge, `steps` the motors' steps at each ms. Power.flash_after(ms) returns the flash if the supply
+is gone at that ms; Power.next_start(flash) returns the output of the next start, and
+Power.position_at(ms) the position. ALARM:36 is a failed supply, ALARM:3 a lost position.
 """
 
 import copy
@@ -20,7 +20,7 @@ import pytest
 from lfs_flash import PAGE, BlockDevice, Files, Flash, cut
 from machine import Pin
 from ports.storage import prepared_page
-from test_jobs import FAST, HOMED, Bench, homed, say, to_its_end
+from test_jobs import FAST, HOMED, Bench, say, until_job_ends, with_switches
 
 _PIN = 22  # of the contact; 0: the supply is present
 _PAGE_MS = 3  # to write a page of flash
@@ -73,7 +73,7 @@ class Power:
         self._patch.setattr(prepared_page, "open", files.open, raising=False)
         self._patch.setattr(prepared_page, "os", files)
         self._patch.setattr(prepared_page, "flash_of_chip", lambda: device)
-        self.bench = homed(Bench(self.folder, self.store, **self.options))
+        self.bench = with_switches(Bench(self.folder, self.store, **self.options))
         self.store = self.bench.store
         return self.bench
 
@@ -107,14 +107,16 @@ class Power:
         def script(bench: Bench) -> Iterator[Any]:
             """Start the job, wait until its start is recorded, and fail after_ms later."""
             yield from say(*FAST, *HOMED, *settings, f"$F={_JOB}", wait_s=0)(bench)
-            yield from bench.sender.until(lambda: bench.kept() != [])  # the start is recorded
+            yield from bench.sender.until(
+                lambda: bench.job_record() != []
+            )  # the start is recorded
             bench.sender.take()
             yield bench.rig.ms(after_ms)
             yield from self.fail()
 
         return self.bench.run(script)
 
-    def cut(self, after_ms: float) -> bytes:
+    def flash_after(self, after_ms: float) -> bytes:
         """Return the flash of a supply that was gone so many ms after the edge."""
         # Of the last page only a part is written, in proportion to the time.
         begun_pages = sum(ms < after_ms for ms in self.writes)
@@ -124,17 +126,17 @@ class Power:
             torn_bytes = int(PAGE * (after_ms - self.writes[whole_pages]) / _PAGE_MS)
         return cut(self.image, self._log, whole_pages, torn_bytes)
 
-    def starts(self, image: bytes) -> "list[str]":
+    def next_start(self, image: bytes) -> "list[str]":
         """Return the messages of the next start with this flash, and the files of the edge."""
         self.store.files = copy.deepcopy(self.files)
         return self.machine(image=image).run(say("$G", wait_s=0))
 
-    def at(self, ms: float) -> "dict[str, float]":
+    def position_at(self, ms: float) -> "dict[str, float]":
         """Return the position so many ms after the edge, as reports print it."""
         steps = self.steps[min(int(ms), len(self.steps) - 1)]
         return {axis: round(steps[i] / _STEPS_PER_MM, 3) for i, axis in enumerate("XYZ")}
 
-    def line_at(self, steps: "list[int]") -> "set[int]":
+    def lines_with(self, steps: "list[int]") -> "set[int]":
         """Return the lines of the job on whose way these steps are."""
         lines, start_mm = set(), None
         for line, (_, _, target_mm, _) in self.bench.log:
@@ -160,7 +162,7 @@ def has_planned(bench: Bench, line: int) -> bool:
     return any(entry[0] >= line for entry in bench.log)
 
 
-def place(parts: "dict[str, Any]") -> "dict[str, float]":
+def position_mm(parts: "dict[str, Any]") -> "dict[str, float]":
     """Return the position of a report in mm."""
     return {axis: float(parts[axis]) for axis in "XYZ"}
 
@@ -180,23 +182,23 @@ def test_job_resumes_at_the_exact_line_of_the_failure(power: Power, tmp_path: Pa
     assert len(power.writes) == 1 and power.writes[0] + _PAGE_MS < 100
     # It braked after the edge, and stood when the page was written.
     assert power.steps[0] != power.steps[-1] == power.steps[int(power.writes[0]) + 1]
-    lines = power.line_at(power.steps[-1])
+    lines = power.lines_with(power.steps[-1])
 
     # The supply is gone 100 ms after the edge.
-    output = power.starts(power.cut(100))
+    output = power.next_start(power.flash_after(100))
     parts = report(output)
     assert parts["job"] == _JOB and parts["sure"] == _CERTAIN and int(parts["line"]) in lines
-    assert place(parts) == power.at(200)
+    assert position_mm(parts) == power.position_at(200)
     assert f"{_UNFINISHED}{parts['line']}]" in output
     assert output.index(f"{_UNFINISHED}{parts['line']}]") == 1
     power.machine().put(_JOB, *_LINES)  # a next start
     output = power.bench.run(say(*HOMED, "$F=@", wait_s=20))
     assert not report(output), "a record is reported once"
     assert f"[MSG:Job {_JOB}: continues at line {parts['line']}]" in output
-    uninterrupted = homed(Bench(tmp_path / "whole"))
+    uninterrupted = with_switches(Bench(tmp_path / "whole"))
     uninterrupted.folder.parent.mkdir()
     uninterrupted.put(_JOB, *_LINES)
-    uninterrupted.run(to_its_end(*FAST, *HOMED, f"$F={_JOB}"))
+    uninterrupted.run(until_job_ends(*FAST, *HOMED, f"$F={_JOB}"))
     assert uninterrupted.steps == power.bench.steps
 
 
@@ -211,19 +213,19 @@ def test_cut_at_every_millisecond_leaves_the_record_or_the_journal(
     Without it, the job's stored record (the journal) still has the beginning of the job.
     """
     power.fails_in_job(after_ms)
-    lines = power.line_at(power.steps[-1])
+    lines = power.lines_with(power.steps[-1])
     (written_ms,) = power.writes
     for ms in range(120):
-        image = power.cut(ms)
+        image = power.flash_after(ms)
         # After the write nothing changes: every 20th is enough.
         if ms > written_ms + _PAGE_MS and ms % 20:
-            assert image == power.cut(119)
+            assert image == power.flash_after(119)
             continue
-        parts = report(power.starts(image))
+        parts = report(power.next_start(image))
         assert not parts or ms > written_ms
         assert parts or ms < written_ms + _PAGE_MS
         if parts:
-            assert int(parts["line"]) in lines and place(parts) == power.at(119)
+            assert int(parts["line"]) in lines and position_mm(parts) == power.position_at(119)
         else:
             assert power.store.files["job"][1] == "1", "the beginning, as noted before"
 
@@ -234,12 +236,12 @@ def test_failure_at_every_millisecond_of_a_job_is_recorded(power: Power, after_m
     """The record is written before 100 ms, with the position and the line of the stop."""
     power.fails_in_job(after_ms)
     (written_ms,) = power.writes
-    lines = power.line_at(power.steps[-1])
+    lines = power.lines_with(power.steps[-1])
     assert written_ms + _PAGE_MS < 100
     steps_when_written = power.steps[int(written_ms) + 1]
     assert steps_when_written == power.steps[-1], "nothing is written while a step may come"
-    parts = report(power.starts(power.cut(100)))
-    assert parts["sure"] == _CERTAIN and place(parts) == power.at(199)
+    parts = report(power.next_start(power.flash_after(100)))
+    assert parts["sure"] == _CERTAIN and position_mm(parts) == power.position_at(199)
     assert int(parts["line"]) in lines
 
 
@@ -265,9 +267,9 @@ def test_line_is_exact_while_the_loop_waits_in_a_line(
     """
     # The parameter `line` is that in which it waits: line 1 has the modes.
     power.fails_in_job(ms, lines=("G21G91G1F3000", *lines))
-    parts = report(power.starts(power.cut(100)))
+    parts = report(power.next_start(power.flash_after(100)))
     assert parts["sure"] == _CERTAIN and int(parts["line"]) == line
-    assert place(parts) == power.at(199)
+    assert position_mm(parts) == power.position_at(199)
 
 
 def test_motion_that_does_not_stop_in_time_is_stopped_at_once(power: Power) -> None:
@@ -277,10 +279,10 @@ def test_motion_that_does_not_stop_in_time_is_stopped_at_once(power: Power) -> N
     assert 85 < written_ms < 97
     steps_before, last_steps = power.steps[80], power.steps[-1]
     assert steps_before != power.steps[85] != last_steps, "it was moving"
-    line = max(power.line_at(last_steps))
-    parts = report(power.starts(power.cut(100)))
+    line = max(power.lines_with(last_steps))
+    parts = report(power.next_start(power.flash_after(100)))
     assert parts["sure"] == "stopped without braking, position uncertain"
-    assert place(parts) == power.at(199)
+    assert position_mm(parts) == power.position_at(199)
     assert 0 <= line - int(parts["line"]) <= 6
 
 
@@ -296,17 +298,17 @@ def test_z_goes_up_and_is_recorded_before_and_after(
     power.fails_in_job(300)
     first_ms, second_ms = power.writes
     assert first_ms + _PAGE_MS < second_ms < 100 - _PAGE_MS
-    up_mm = power.at(199)["Z"] - power.at(first_ms + 1)["Z"]
+    up_mm = power.position_at(199)["Z"] - power.position_at(first_ms + 1)["Z"]
     assert round(up_mm, 3) == 1
-    lines = power.line_at(power.steps[int(first_ms) + 1])
+    lines = power.lines_with(power.steps[int(first_ms) + 1])
     for ms, certainty in (
         (first_ms + 4, "position certain, Z perhaps higher"),
         (second_ms + 4, _CERTAIN),
     ):
-        position = power.at(first_ms + 1 if ms < second_ms else 199)
-        parts = report(power.starts(power.cut(ms)))
+        position = power.position_at(first_ms + 1 if ms < second_ms else 199)
+        parts = report(power.next_start(power.flash_after(ms)))
         assert parts["sure"] == certainty and int(parts["line"]) in lines
-        assert place(parts) == position
+        assert position_mm(parts) == position
 
 
 def test_z_stays_where_it_is_not_homed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -337,13 +339,13 @@ def test_supply_that_comes_back_leaves_a_machine_in_alarm(power: Power) -> None:
             yield from bench.sender.until(lambda line=line: has_planned(bench, line))
             bench.sender.take()
             yield from power.fail(1000)
-            lines.append(power.line_at(power.steps[-1]))
+            lines.append(power.lines_with(power.steps[-1]))
             Pin(_PIN).drive(0)  # the supply is back
             yield bench.rig.ms(200)
             output = bench.sender.take()
             assert "ALARM:36" in output
             parts = report(output)
-            assert parts["sure"] == _CERTAIN and bench.kept()[1] == parts["line"]
+            assert parts["sure"] == _CERTAIN and bench.job_record()[1] == parts["line"]
             assert int(parts["line"]) in lines[-1]
             yield from say("$X", "$H", "$F=@", wait_s=0)(bench)
         yield bench.rig.ms(10_000)
@@ -430,7 +432,7 @@ def test_failure_stops_the_machine_in_every_state(power: Power, state: str) -> N
     is_recorded = state not in ("homing", "in alarm", "in check mode")
     assert bool(report(output)) == is_recorded
     if is_recorded:
-        assert place(report(output)) == power.at(999)
+        assert position_mm(report(output)) == power.position_at(999)
 
 
 def test_time_of_a_stop_is_reported_for_the_settings(power: Power) -> None:

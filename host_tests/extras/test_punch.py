@@ -3,7 +3,7 @@
 The simulated machine checks this: it raises BrokenLaw at any step made while the punch is not
 fully up, and at a stroke that begins during motion.
 
-Bench.lines() sends lines that must be answered with ok, Bench.passes(ms) lets time pass and
+Bench.lines() sends lines that must be answered with ok, Bench.wait_ms(ms) lets time pass and
 returns the output. Bench.port is the simulated punch: its place() is from 0 (up) to 1 (down),
 `dead` is a mask of sensors that never respond, and if it is `stuck`, it does not move.
 M3 and M4 arm the punch, M5 disarms it. A silent lower sensor is ALARM:32, an upper one ALARM:33.
@@ -82,7 +82,7 @@ class Bench:
         for line in lines:
             assert (yield from self.say(line + "\n")) == ["ok"]
 
-    def passes(self, milliseconds: float) -> "Iterator[Any]":
+    def wait_ms(self, milliseconds: float) -> "Iterator[Any]":
         """Let time pass; return the output meanwhile."""
         yield self.rig.ms(milliseconds)
         return self.sender.take()
@@ -165,7 +165,7 @@ def test_line_is_answered_after_its_stroke() -> None:
         yield from bench.until(lambda: bench.port.place() == DOWN)
         assert bench.sender.take() == []
         yield from bench.until(lambda: bench.port.place() == UP)
-        assert (yield from bench.passes(5)) == ["ok"]
+        assert (yield from bench.wait_ms(5)) == ["ok"]
 
     play(script)
 
@@ -210,8 +210,8 @@ def test_missing_lower_sensor_is_an_alarm_and_the_punch_goes_up() -> None:
         yield from bench.lines("M3")
         bench.port.dead = SENSOR_DOWN
         bench.rig.link.send(b"G0X1\n")
-        assert (yield from bench.passes(1000)) == []
-        output = yield from bench.passes(500)
+        assert (yield from bench.wait_ms(1000)) == []
+        output = yield from bench.wait_ms(500)
         assert output == [*_NOT_DOWN, "ok", *_BANNER, _LOCKED]
         assert bench.port.place() == UP
         assert (yield from bench.say("G0X2\n")) == ["error:9"]
@@ -230,7 +230,7 @@ def test_blocked_punch_goes_up_again() -> None:
         yield from bench.lines("M3")
         bench.port.lowest = 0.7  # of the stroke: something hard is below
         bench.rig.link.send(b"G0X1\n")
-        assert (yield from bench.passes(1500))[:2] == _NOT_DOWN
+        assert (yield from bench.wait_ms(1500))[:2] == _NOT_DOWN
         assert bench.port.place() == UP
 
     play(script)
@@ -249,14 +249,14 @@ def test_nothing_moves_without_the_upper_sensor(fault: str) -> None:
         bench.rig.link.send(b"G0X1\n")
         yield from bench.until(lambda: bench.port.place() == DOWN)
         setattr(bench.port, fault, SENSOR_UP)
-        output = yield from bench.passes(2500)
+        output = yield from bench.wait_ms(2500)
         # Once for the line, and once more before the welcome.
         assert output[:3] == [*_NOT_UP, "ok"] and output.count("ALARM:33") == 2
         assert output[-3:] == [*_BANNER, _LOCKED]
         for line in ("G0X2\n", "$J=X2F100\n"):
             assert (yield from bench.say("$X\n"))[-1] == "ok"
             bench.rig.link.send(line.encode())
-            output = yield from bench.passes(2500)
+            output = yield from bench.wait_ms(2500)
             assert output[:3] in (["ok", *_NOT_UP], [*_NOT_UP, "ok"]) and output[-1] == _LOCKED
         bench.rig.engine.physical(bench.rig.scratch)
         assert list(bench.rig.scratch) == [_PER_MM, 0, 0]  # X1 of the line with the stroke
@@ -274,7 +274,7 @@ def test_homing_does_not_start_without_the_upper_sensor() -> None:
         yield from bench.lines("$22=1")
         bench.port.dead = SENSOR_UP
         bench.rig.link.send(b"$H\n")
-        assert (yield from bench.passes(2500))[:2] == _NOT_UP
+        assert (yield from bench.wait_ms(2500))[:2] == _NOT_UP
 
     bench = play(script)
     assert bench.rig.engine.starts == 0
@@ -286,11 +286,11 @@ def test_falling_punch_stops_the_machine() -> None:
     def script(bench: Bench) -> Iterator[Any]:
         """Let the punch fall 0.5 s after the start of a line."""
         bench.rig.link.send(b"G1X50F3000\n")
-        yield from bench.passes(500)
+        yield from bench.wait_ms(500)
         assert bench.rig.moving()
         bench.port.fall()  # the upper sensor opens, an interrupt
         assert not bench.rig.moving()
-        output = yield from bench.passes(1000)
+        output = yield from bench.wait_ms(1000)
         assert output == ["ALARM:33", _NOT_UP[1], *_BANNER, _LOCKED]
         assert bench.port.place() == UP
 
@@ -360,12 +360,12 @@ def test_hold_lets_the_stroke_end() -> None:
         """Send a hold in a stroke, and ~ later."""
         yield from in_stroke(bench)
         bench.rig.link.send(b"!")
-        output = yield from bench.passes(500)
+        output = yield from bench.wait_ms(500)
         assert output == ["ok"] and bench.port.place() == UP
         assert bench.rig.controller.state.run == st.HOLD
         assert bench.holes() == [(1, 0)]
         bench.rig.link.send(b"~")
-        assert (yield from bench.passes(2000)) == ["ok"]
+        assert (yield from bench.wait_ms(2000)) == ["ok"]
 
     assert play(script).holes() == [(1, 0), (2, 0)]
 
@@ -377,11 +377,11 @@ def test_door_interrupts_the_stroke_which_is_made_later() -> None:
         """Open the door (0x84) in a stroke, and resume."""
         yield from in_stroke(bench)
         bench.rig.link.send(b"\x84")  # door
-        output = yield from bench.passes(500)
+        output = yield from bench.wait_ms(500)
         assert output == ["[MSG:Check Door]"] and bench.port.place() == UP
         assert bench.holes() == []
         bench.rig.link.send(b"~")
-        assert (yield from bench.passes(8000)) == ["ok", "ok"]  # both lines were unanswered
+        assert (yield from bench.wait_ms(8000)) == ["ok", "ok"]  # both lines were unanswered
 
     assert play(script).holes() == [(1, 0), (2, 0)]
 
@@ -409,7 +409,7 @@ def test_hard_limit_raises_the_punch() -> None:
         """Close the limit switch of X in a stroke."""
         yield from in_stroke(bench)
         bench.rig.port.push({"limit_x": True})
-        output = yield from bench.passes(1000)
+        output = yield from bench.wait_ms(1000)
         assert output == ["ALARM:1", "[MSG:Reset to continue]"]
         assert bench.port.place() == UP
 
@@ -447,7 +447,7 @@ _EVENTS = some.lists(
     some.sampled_from(["sim_punch", "sim_punch_09"]),
 )
 def test_nothing_moves_while_the_punch_is_down(
-    events: "list[tuple[int, str]]", dead: int, dies_ms: int, board: str
+    events: "list[tuple[int, str]]", dead: int, dead_from_ms: int, board: str
 ) -> None:
     """A program runs with random events, and with a dead sensor from some ms on.
 
@@ -463,7 +463,7 @@ def test_nothing_moves_while_the_punch_is_down(
         start = rig.now
         while rig.now < start + 9000 * rig.ticks_per_ms:
             elapsed_ms = (rig.now - start) / rig.ticks_per_ms
-            bench.port.dead = dead if elapsed_ms > dies_ms else 0
+            bench.port.dead = dead if elapsed_ms > dead_from_ms else 0
             while due and due[0][0] <= elapsed_ms:
                 event = due.popleft()[1]
                 if event == "fall":
@@ -494,7 +494,7 @@ def test_simulated_machine_detects_motion_with_the_punch_down() -> None:
         bench.port._position, bench.port._up_until = DOWN, bench.rig.now
         bench.port.stuck = True
         bench.rig.link.send(b"G0X1\n")
-        yield from bench.passes(500)
+        yield from bench.wait_ms(500)
 
     with pytest.raises(BrokenLaw):
         play(script)

@@ -26,14 +26,14 @@ def board() -> ModuleType:
 class Machine(Rig):
     """A simulated machine with a real board's port, and a punch on stand-ins for its pins."""
 
-    def __init__(self, make: "Callable[[ModuleType], Any]", pins: Any) -> None:
-        """make: returns the port of a board module. pins: the class of stand-ins for pins."""
+    def __init__(self, make_port: "Callable[[ModuleType], Any]", pin_class: Any) -> None:
+        """make_port: returns the port of a board module. pin_class: that of stand-ins for pins."""
         module = board()
         super().__init__(module)
-        self.port = make(module)
+        self.port = make_port(module)
         self.port.power_off = lambda: None
         # Its clock is in us.
-        self.punch = Punch(module, pins, lambda: self.now * 1000 // int(self.ticks_per_ms))
+        self.punch = Punch(module, pin_class, lambda: self.now * 1000 // int(self.ticks_per_ms))
         ticks = SimpleNamespace(ticks_ms=self._ticks_ms, ticks_diff=lambda a, b: a - b)
         # The port's time is that of the simulator; each reading also moves the punch.
         type(self.port).ticks_ms.__globals__["time"] = ticks
@@ -53,7 +53,7 @@ class Machine(Rig):
                 before = len(self.link.received)
                 self.link.send(line.encode() + b"\n")
                 yield lambda before=before: until.encode() in self.link.received[before:]
-            yield self.ms(500)
+            yield self.ms(500)  # until the last motion and its stroke are over
 
         self.run(script())
         return bytes(self.link.received).decode()

@@ -42,7 +42,7 @@ def board(axes: int = 4, **options: Any) -> ModuleType:
     return module
 
 
-def played(
+def machine_after(
     lines: Sequence[str],
     settings: "dict[int, float] | None" = None,
     axes: int = 4,
@@ -58,7 +58,7 @@ def played(
     return machine
 
 
-def seconds(machine: Machine) -> float:
+def motion_seconds(machine: Machine) -> float:
     """Return the time in s from the first row of steps to the end of the last."""
     engine = machine.rig.engine
     first = machine.rows[0][0]
@@ -66,7 +66,7 @@ def seconds(machine: Machine) -> float:
     return float(start + row[0] - first) / engine.tick_hz
 
 
-def places(machine: Machine) -> "list[float]":
+def motor_positions(machine: Machine) -> "list[float]":
     """Return the motors' positions in mm and degrees, 250 steps each."""
     return [steps / _PER_MM for steps in machine.physical()]
 
@@ -78,8 +78,8 @@ def test_six_axes_move_by_lines_jogs_arcs_and_stored_places() -> None:
     """Six linear axes: a move, a helix, a jog and G28; offsets and settings have all axes."""
     lines = ["G0X1Y2Z3A4B5C6", "G28.1", "G2X3I1A5B7C9F500", "$J=G91C-1B-2A-3F900", "G90"]
     # G28 ends where it began: it was stored at the first target. No axis is rotary.
-    machine = played([*lines, "G28", "G92A0", "$#", "$$"], axes=6, ROTARY="")
-    assert places(machine) == [1, 2, 3, 4, 5, 6]
+    machine = machine_after([*lines, "G28", "G92A0", "$#", "$$"], axes=6, ROTARY="")
+    assert motor_positions(machine) == [1, 2, 3, 4, 5, 6]
     assert machine.reported() == [1, 2, 3, 4, 5, 6]
     output = machine.received
     assert "[G28:1.000,2.000,3.000,4.000,5.000,6.000]" in output
@@ -91,7 +91,7 @@ def test_six_axes_move_by_lines_jogs_arcs_and_stored_places() -> None:
 @pytest.mark.parametrize("axes", [3, 4, 5, 6])
 def test_letters_of_missing_axes_are_refused(axes: int) -> None:
     lines = [f"G0{letter}1" for letter in "XYZABC"]
-    output = played(lines, axes=axes, ROTARY="").received
+    output = machine_after(lines, axes=axes, ROTARY="").received
     answers = [x for x in output if x.startswith(_ANSWERS)]
     assert answers[:6] == ["ok"] * axes + ["error:20"] * (6 - axes)
 
@@ -139,10 +139,10 @@ def test_one_of_six_axes_is_homed_alone() -> None:
 
 def test_feed_rate_is_that_of_the_linear_axes() -> None:
     """10 mm at F600 take 1 s, and a turn of A in the same line does not count."""
-    linear_only_s = seconds(played(["G1X10F600"]))
+    linear_only_s = motion_seconds(machine_after(["G1X10F600"]))
     assert linear_only_s == pytest.approx(1, rel=0.01)
     for line in ("G1X10A90F600", "G1X10A-100F600", "G1X6Y8A45F600"):
-        assert seconds(played([line])) == pytest.approx(1, rel=0.01), line
+        assert motion_seconds(machine_after([line])) == pytest.approx(1, rel=0.01), line
 
 
 @pytest.mark.thorough
@@ -164,7 +164,7 @@ def test_line_takes_the_time_of_the_standard(
         return
     line = f"G1X{x}Y{y}Z{z}A{a}B{b}F{feed}"
     ramps_s = max(rates) * feed / 60 / _SWIFT[120]  # both together, of the fastest axis
-    assert seconds(played([line], axes=5, ROTARY="AB")) == pytest.approx(
+    assert motion_seconds(machine_after([line], axes=5, ROTARY="AB")) == pytest.approx(
         length / feed * 60 + ramps_s, rel=0.01
     )
 
@@ -180,36 +180,36 @@ def test_rotary_axis_alone_moves_in_degrees_a_minute_even_in_inches() -> None:
         ["$J=G20A36F720"],
         ["$J=A36F720"],
     ):
-        machine = played(lines)
-        assert seconds(machine) == pytest.approx(3, rel=0.01), lines
-        assert places(machine) == [0, 0, 0, 36]
+        machine = machine_after(lines)
+        assert motion_seconds(machine) == pytest.approx(3, rel=0.01), lines
+        assert motor_positions(machine) == [0, 0, 0, 36]
 
 
 def test_helix_that_turns_an_axis_takes_the_time_of_its_arc() -> None:
     """The turn of A, in degrees, does not count."""
     for turn in (0, 90, -300):
-        machine = played([f"G2X20I10A{turn}F600"])
+        machine = machine_after([f"G2X20I10A{turn}F600"])
         # A half circle, radius 10 mm, at 10 mm/s.
-        assert seconds(machine) == pytest.approx(math.pi * 10 / 10, rel=0.01), turn
-        assert places(machine) == [20, 0, 0, turn]
+        assert motion_seconds(machine) == pytest.approx(math.pi * 10 / 10, rel=0.01), turn
+        assert motor_positions(machine) == [20, 0, 0, turn]
 
 
 def test_inverse_time_is_kept_by_lines_and_arcs() -> None:
     """G93 F30 is 1/30 min, 2 s."""
     for line in ("G93G1X10A90F30", "G93G1A90F30", "G93G2X20I10A90F30", "G93G2X20I10F30"):
-        assert seconds(played([line])) == pytest.approx(2, rel=0.01), line
+        assert motion_seconds(machine_after([line])) == pytest.approx(2, rel=0.01), line
 
 
 def test_feed_override_applies_to_lines_that_turn() -> None:
     """Five times -10 %: 40 mm at 300 mm/min take 8 s."""
-    machine = played(["G1X40A90F600"], events=[(0, "\x92")] * 5)
-    assert seconds(machine) == pytest.approx(8, rel=0.02)
+    machine = machine_after(["G1X40A90F600"], events=[(0, "\x92")] * 5)
+    assert motion_seconds(machine) == pytest.approx(8, rel=0.02)
 
 
 def test_lines_after_one_that_turns_have_their_own_rate() -> None:
-    machine = played(["G1X10A360F600", "X20", "Y10", "G2X40I10A0", "G1X50"])
+    machine = machine_after(["G1X10A360F600", "X20", "Y10", "G2X40I10A0", "G1X50"])
     # Four lines of 10 mm, and a half circle, radius 10 mm, at 10 mm/s.
-    assert seconds(machine) == pytest.approx(4 + math.pi, rel=0.01)
+    assert motion_seconds(machine) == pytest.approx(4 + math.pi, rel=0.01)
 
 
 # Numbers
@@ -217,15 +217,17 @@ def test_lines_after_one_that_turns_have_their_own_rate() -> None:
 
 def test_degrees_are_never_inches() -> None:
     """X moves 2 inches, A 180 degrees. $13=1 reports inches, but degrees of A; G54 is 180 - 10."""
-    machine = played(["G20", "G0X1A90", "G91", "X1A90", "G90", "G10L20P1A10", "$13=1", "$#", "?"])
-    assert places(machine) == [50.8, 0, 0, 180]
+    machine = machine_after(
+        ["G20", "G0X1A90", "G91", "X1A90", "G90", "G10L20P1A10", "$13=1", "$#", "?"]
+    )
+    assert motor_positions(machine) == [50.8, 0, 0, 180]
     assert machine.reported() == [2, 0, 0, 180]
     assert any(line.startswith("[G54:0.0000,0.0000,0.0000,170.0000]") for line in machine.received)
 
 
 def test_offsets_in_reports_in_inches_are_degrees() -> None:
     # Only some reports have WCO.
-    machine = played(["G10L2P1X25.4A90", "$13=1", *["?"] * 40])
+    machine = machine_after(["G10L2P1X25.4A90", "$13=1", *["?"] * 40])
     offsets = {line.split("WCO:")[1] for line in machine.received if "WCO:" in line}
     assert any(each.startswith("1.0000,0.0000,0.0000,90.0000") for each in offsets)
 
@@ -233,9 +235,9 @@ def test_offsets_in_reports_in_inches_are_degrees() -> None:
 # Travel
 
 
-def stopped(line: str, settings: "dict[int, float]") -> "list[str]":
+def output_with_reset(line: str, settings: "dict[int, float]") -> "list[str]":
     """Return the output for a line, and for a reset after it."""
-    return played(["$X", line], settings, events=[(5000, "\x18")]).received
+    return machine_after(["$X", line], settings, events=[(5000, "\x18")]).received
 
 
 # Soft limits with a travel of 100 mm; A has none.
@@ -253,15 +255,15 @@ def test_axis_without_travel_turns_without_limit_and_others_do_not() -> None:
         "G4P0",
         "$J=G90A-7000F60000",
     ]
-    machine = played(turning_lines, _LIMITED)
-    assert places(machine) == [-3, 0, 0, -7000]
+    machine = machine_after(turning_lines, _LIMITED)
+    assert motor_positions(machine) == [-3, 0, 0, -7000]
     assert not any("ALARM" in line or "error" in line for line in machine.received)
     for line, refusal in (
         ("G0A5X1", "ALARM:2"),
         ("$J=A5X1F100", "error:15"),
         ("G2X8I4A9F900", "ALARM:2"),
     ):
-        assert refusal in stopped(line, _LIMITED), line
+        assert refusal in output_with_reset(line, _LIMITED), line
 
 
 def test_work_position_stays_if_axis_is_unwound_in_saved_block() -> None:
@@ -288,8 +290,8 @@ def test_work_position_stays_if_axis_is_unwound_in_saved_block() -> None:
 
 
 def test_rotary_axis_with_travel_is_limited() -> None:
-    assert "ALARM:2" in stopped("G0A-91", {**_LIMITED, 133: 90})
-    assert "ALARM:2" not in stopped("G0A-89", {**_LIMITED, 133: 90})
+    assert "ALARM:2" in output_with_reset("G0A-91", {**_LIMITED, 133: 90})
+    assert "ALARM:2" not in output_with_reset("G0A-89", {**_LIMITED, 133: 90})
 
 
 # Homing is enabled; A has no travel ($133).
@@ -350,10 +352,10 @@ def test_impossible_rotary_axis_is_reported(word: str) -> None:
 
 
 def test_board_without_rotary_axes_treats_them_as_millimetres() -> None:
-    machine = played(["G20", "G1X1A1F100"], ROTARY="")
-    assert places(machine) == [25.4, 0, 0, 25.4]
+    machine = machine_after(["G20", "G1X1A1F100"], ROTARY="")
+    assert motor_positions(machine) == [25.4, 0, 0, 25.4]
     # F100 are 2540 mm/min, along X and A.
-    assert seconds(machine) == pytest.approx(math.hypot(25.4, 25.4) / 2540 * 60, rel=0.02)
+    assert motion_seconds(machine) == pytest.approx(math.hypot(25.4, 25.4) / 2540 * 60, rel=0.02)
 
 
 # The kernel's path of a line

@@ -15,7 +15,7 @@ from ugrbl.boardfile.files import load_board
 from ugrbl.compiling import build
 from ugrbl.sim.engine import Switch
 
-_AT = 800  # steps at which switches close; 250 steps are 1 mm
+_SWITCH_STEPS = 800  # steps at which switches close; 250 steps are 1 mm
 _SETTINGS = {
     1: 255,
     22: 1,
@@ -40,13 +40,13 @@ def board(limits: "tuple[int | None, ...]" = (9, 9, 9), **options: Any) -> Modul
 def machine(
     settings: "dict[int, float] | None" = None,
     limits: "tuple[int | None, ...]" = (9, 9, 9),
-    at: int = _AT,
+    switch_steps: int = _SWITCH_STEPS,
     **options: Any,
 ) -> Machine:
-    """Return a machine on this board; at: where the switch of each axis closes, in steps."""
+    """Return a machine on this board; switch_steps: where each switch closes."""
     cnc = Machine({**_SETTINGS, **(settings or {})}, board(limits, **options), watched=False)
     for axis, letter in enumerate("xyz"):
-        cnc.rig.engine.switches.append(Switch(f"limit_{letter}", axis, True, at))
+        cnc.rig.engine.switches.append(Switch(f"limit_{letter}", axis, True, switch_steps))
     return cnc
 
 
@@ -78,11 +78,13 @@ def test_all_axes_of_an_input_are_reported(
 def test_axes_are_homed_one_by_one_to_their_own_switches(
     limits: "tuple[int | None, ...]",
 ) -> None:
-    """All switches close at _AT steps, and _ORDER homes one axis after the other."""
+    """All switches close at _SWITCH_STEPS, and _ORDER homes one axis after the other."""
     cnc = machine(limits=limits)
     cnc.play(["$H"])
     assert cnc.reported() == [-1, -1, -1]
-    assert cnc.physical() == pytest.approx([_AT - 250] * 3, abs=10)  # after a pull-off of 1 mm
+    assert cnc.physical() == pytest.approx(
+        [_SWITCH_STEPS - 250] * 3, abs=10
+    )  # after a pull-off of 1 mm
 
 
 def test_z_may_share_with_an_axis_homed_after_it_in_grbls_order() -> None:
@@ -90,7 +92,7 @@ def test_z_may_share_with_an_axis_homed_after_it_in_grbls_order() -> None:
     cnc = machine(limits=(9, 10, 9), HOMING=())
     cnc.play(["$H"])
     assert cnc.reported() == [-1, -1, -1]
-    assert cnc.physical() == pytest.approx([_AT - 250] * 3, abs=10)
+    assert cnc.physical() == pytest.approx([_SWITCH_STEPS - 250] * 3, abs=10)
 
 
 @pytest.mark.parametrize("axis", range(3))
@@ -138,27 +140,29 @@ def test_position_stays_right_after_a_reset_at_any_time_of_homing() -> None:
             cnc.rig.link.send(b"\x18")
             yield from cnc.rest()
             steps_after_reset.append(cnc.physical())
-            if any(steps >= _AT for steps in steps_after_reset[0]):  # it stands on a switch
+            if any(
+                steps >= _SWITCH_STEPS for steps in steps_after_reset[0]
+            ):  # it stands on a switch
                 return
             cnc.take()
-            yield from cnc.sender.wait("idle", "$H\n", 1)
+            yield from cnc.sender.wait("idle", "$H\n", settle=1)
             yield from cnc.rest()
 
         cnc.run(script())
-        if all(steps < _AT for steps in steps_after_reset[0]):
+        if all(steps < _SWITCH_STEPS for steps in steps_after_reset[0]):
             assert cnc.reported() == [-1, -1, -1], ms
-            assert cnc.physical() == pytest.approx([_AT - 250] * 3, abs=10), ms
+            assert cnc.physical() == pytest.approx([_SWITCH_STEPS - 250] * 3, abs=10), ms
 
 
 @pytest.mark.parametrize("axis", range(3))
 def test_any_of_the_switches_stops_motion(axis: int) -> None:
     """$21=1 enables hard limits. The report has all axes that share the input."""
-    for switch_at in range(300, 2300, 271):
-        cnc = machine({21: 1, 22: 0}, at=switch_at)
+    for stop_steps in range(300, 2300, 271):
+        cnc = machine({21: 1, 22: 0}, switch_steps=stop_steps)
         cnc.play([f"G1{'XYZ'[axis]}20F1500", "G4P0.1"], [(4000, "\x18")])  # a reset ends the alarm
         assert "ALARM:1" in cnc.received
         assert any("|Pn:XYZ" in line for line in cnc.received if line.startswith("<"))
-        assert cnc.physical()[axis] == switch_at  # no step after the one that closed it
+        assert cnc.physical()[axis] == stop_steps  # no step after the one that closed it
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 A skewed machine's axes are not at right angles. $780 to $782 are the skew of XY, XZ and YZ, in mm
 per m. Machine.physical() returns the steps of the motors, Machine.reported() the last reported
-position of the tool. tool() computes the tool's position from motor steps.
+position of the tool. tool_position() computes the tool's position from motor steps.
 """
 
 import sys
@@ -61,7 +61,7 @@ def board(**options: Any) -> ModuleType:
     return module
 
 
-def machine(
+def make_machine(
     skew: Sequence[float] = _LEANING,
     settings: "dict[int, float] | None" = None,
     watched: bool = True,
@@ -71,14 +71,14 @@ def machine(
     return Machine({**skewed(skew), **(settings or {})}, board(**options), watched)
 
 
-def tool(motors: Sequence[float], skew: Sequence[float] = _LEANING) -> "list[float]":
+def tool_position(motors: Sequence[float], skew: Sequence[float] = _LEANING) -> "list[float]":
     """Return the tool's position in mm: Y moves X along, and Z moves both."""
     x, y, z = [n / _PER_MM for n in motors]
     xy, xz, yz = [mm / 1000 for mm in skew]
     return [x + xy * y + xz * z, y + yz * z, z]
 
 
-def way(cnc: Machine) -> "list[list[float]]":
+def motor_positions(cnc: Machine) -> "list[list[float]]":
     """Return the motors' positions after each segment, in steps since power-up."""
     position = [0.0, 0.0, 0.0]
     positions = [position[:]]
@@ -90,7 +90,7 @@ def way(cnc: Machine) -> "list[list[float]]":
     return positions
 
 
-def close(skew: Sequence[float]) -> "list[float]":
+def tolerance_mm(skew: Sequence[float]) -> "list[float]":
     """Return the allowed distance of the tool from a place, in mm.
 
     It is a step of each motor that moves the tool, and 1/32 step for rounding of the sums of
@@ -114,13 +114,13 @@ def test_tool_is_on_target_and_reports_match_a_square_machine(
 ) -> None:
     """Lines are in tenths of mm. The square machine is one without skew."""
     program = [f"G1X{x / 10}Y{y / 10}Z{z / 10}F3000" for x, y, z in lines]
-    cnc = machine(skew)
+    cnc = make_machine(skew)
     cnc.play(program)
     square = Machine(_FAST, "sim")
     square.play(program)
     assert cnc.received[-2:] == square.received[-2:]
     for tool_mm, target_tenths, allowed_mm in zip(
-        tool(cnc.physical(), skew), lines[-1], close(skew), strict=True
+        tool_position(cnc.physical(), skew), lines[-1], tolerance_mm(skew), strict=True
     ):
         assert abs(tool_mm - target_tenths / 10) <= allowed_mm
 
@@ -156,13 +156,13 @@ def test_tool_stays_on_a_line(
     skew: "tuple[float, ...]", end_tenths: "tuple[int, int, int]"
 ) -> None:
     """After each row of steps, the tool is close to the straight line from 0 to its end."""
-    cnc = machine(skew, watched=False)
+    cnc = make_machine(skew, watched=False)
     cnc.play([f"G1X{end_tenths[0] / 10}Y{end_tenths[1] / 10}Z{end_tenths[2] / 10}F4000"])
     x, y, z = [n / 10 for n in end_tenths]
     length = hypot(x, y, z)
-    allowed_mm = 2 * hypot(*close(skew))  # motors make whole steps
-    for motors in way(cnc):
-        a, b, c = tool(motors, skew)
+    allowed_mm = 2 * hypot(*tolerance_mm(skew))  # motors make whole steps
+    for motors in motor_positions(cnc):
+        a, b, c = tool_position(motors, skew)
         # The cross product with the direction of the line.
         distance_mm = hypot(b * z - c * y, c * x - a * z, a * y - b * x) / length
         assert distance_mm <= allowed_mm
@@ -171,14 +171,14 @@ def test_tool_stays_on_a_line(
 @pytest.mark.parametrize("plane", ["G17", "G18", "G19"])
 def test_tool_stays_on_an_arc(plane: str) -> None:
     """A full circle with a radius of 20 mm, as a helix of 3 mm, in each plane."""
-    cnc = machine()
+    cnc = make_machine()
     arc = {"G17": "G2X0Y0I20J0Z3", "G18": "G2X0Z0I20K0Y3", "G19": "G2Y0Z0J20K0X3"}[plane]
     cnc.play([plane, f"{arc}F4000"])
     first, second, helix_axis = {"G17": (0, 1, 2), "G18": (0, 2, 1), "G19": (1, 2, 0)}[plane]
-    allowed_mm = 0.002 + 2 * hypot(*close(_LEANING))
+    allowed_mm = 0.002 + 2 * hypot(*tolerance_mm(_LEANING))
     turned_rad, last_angle = 0.0, None
-    for motors in way(cnc):
-        position = tool(motors)
+    for motors in motor_positions(cnc):
+        position = tool_position(motors)
         assert abs(hypot(position[first] - 20, position[second]) - 20) <= allowed_mm
         angle = atan2(position[second], position[first] - 20)
         if last_angle is not None:
@@ -201,18 +201,18 @@ def test_line_is_one_block_and_kernels_match_the_interpreter() -> None:
     lines += ["X.1Y.1", "G21", "G0X1", "Y2"]
     results = []
     for watched_bits in (0, MOVE):
-        cnc = machine(settings={780: 12.0}, watched=False)
+        cnc = make_machine(settings={780: 12.0}, watched=False)
         rig: Any = cnc.rig
         rig.on_built = lambda rig=rig, bits=watched_bits: rig.controller.interpreter.watch(bits)
         cnc.play(lines)
-        results.append((way(cnc)[-1], cnc.reported()))
+        results.append((motor_positions(cnc)[-1], cnc.reported()))
     assert results[0] == results[1]
 
 
 def test_zero_skew_moves_step_for_step_like_a_machine_without_the_module() -> None:
     """$780=0, at the end, exists only with the module."""
     lines = ["G0X1Y1Z1", "G1X-2Y3F900", "G2X0Y0I3J-1", "G1Z-3", "$J=G91X3F900", "G0X0", "$780=0"]
-    with_module = machine((0, 0, 0), watched=False)
+    with_module = make_machine((0, 0, 0), watched=False)
     with_module.play(lines)
     without_module = Machine(_FAST, "sim", watched=False)
     without_module.play(lines[:-1])  # without $780
@@ -222,7 +222,7 @@ def test_zero_skew_moves_step_for_step_like_a_machine_without_the_module() -> No
 def test_each_motor_keeps_its_own_rate_and_acceleration() -> None:
     """Y moves fast, and the skew of 0.1 moves the slower X along. X limits the motion."""
     mm_s, mm_s2 = 1.0, 2.0  # of X; Y has 100 mm/s and 1000 mm/s²
-    cnc = machine(settings={110: 60 * mm_s, 120: mm_s2})
+    cnc = make_machine(settings={110: 60 * mm_s, 120: mm_s2})
     cnc.play(["G0Y20", "G0Y0"])
     steps_s = []  # times of X's steps
     for start, row in cnc.rows:
@@ -257,14 +257,14 @@ def test_conversations_match_a_square_machine_to_the_byte(lines: "list[str]") ->
     """
     outputs: dict[bool, list[str]] = {}
     for is_skewed in (False, True):
-        cnc = machine() if is_skewed else Machine(_FAST, "sim")
+        cnc = make_machine() if is_skewed else Machine(_FAST, "sim")
         output: list[str] = []
 
         def script(cnc: Machine = cnc, output: "list[str]" = output) -> Iterator[Any]:
             """Send each line; note all output, the last line and the last report."""
             yield from cnc.start()
             for line in lines:
-                yield from cnc.sender.wait("idle", line + "\n", 1)
+                yield from cnc.sender.wait("idle", line + "\n", settle=1)
                 output.extend(cnc.take())
                 yield from cnc.rest()
                 output.append(cnc.received[-1])
@@ -282,10 +282,10 @@ def test_position_is_right_after_a_stop_anywhere(byte: str) -> None:
     The report must have the place of the tool then, and after one more move the motors are where
     that move leads alone.
     """
-    undisturbed = machine()
+    undisturbed = make_machine()
     undisturbed.play(["G0X7Y-6Z5"])
     for ms in range(3, 700, 41):
-        cnc = machine()
+        cnc = make_machine()
         motion_line = "$J=G91X20Y-10Z5F4000\n" if byte == "\x85" else "G2X0Y0I8J6Z9F4000\n"
 
         def script(
@@ -293,19 +293,19 @@ def test_position_is_right_after_a_stop_anywhere(byte: str) -> None:
         ) -> Iterator[Any]:
             """Stop a motion after some ms, compare report and steps; move to the end."""
             yield from cnc.start()
-            yield from cnc.sender.wait("idle", "G0X1Y2Z-3\n", 1)
+            yield from cnc.sender.wait("idle", "G0X1Y2Z-3\n", settle=1)
             yield from cnc.rest()
             cnc.rig.link.send(motion_line.encode())
             yield cnc.rig.ms(ms)
             cnc.rig.link.send(byte.encode("latin-1"))
             yield from cnc.rest()
             for tool_mm, reported_mm, allowed_mm in zip(
-                tool(cnc.physical()), cnc.reported(), close(_LEANING), strict=True
+                tool_position(cnc.physical()), cnc.reported(), tolerance_mm(_LEANING), strict=True
             ):
                 assert abs(tool_mm - reported_mm) <= allowed_mm + 0.0005, ms
             cnc.take()
-            yield from cnc.sender.wait("idle", "$X\n" if byte == "\x18" else "\n", 1)
-            yield from cnc.sender.wait("idle", "G0X7Y-6Z5\n", 1)
+            yield from cnc.sender.wait("idle", "$X\n" if byte == "\x18" else "\n", settle=1)
+            yield from cnc.sender.wait("idle", "G0X7Y-6Z5\n", settle=1)
             yield from cnc.rest()
 
         cnc.run(script())
@@ -313,7 +313,7 @@ def test_position_is_right_after_a_stop_anywhere(byte: str) -> None:
         assert cnc.reported() == [7, -6, 5], ms
 
 
-def _switched(cnc: Machine, above: bool = True) -> None:
+def _add_switches(cnc: Machine, above: bool = True) -> None:
     """Add a limit switch for each axis, at its upper or lower end."""
     for i, letter in enumerate("xyz"):
         steps = (700, 900, 500)[i]
@@ -325,15 +325,15 @@ def _switched(cnc: Machine, above: bool = True) -> None:
 @pytest.mark.parametrize("inverted", [0, 7])
 def test_homing_moves_each_motor_alone_and_sets_grbls_position(inverted: int) -> None:
     """$23 inverts the direction of homing. The pull-off is 1 mm, and travel 200 mm."""
-    cnc = machine(settings={22: 1, 23: inverted})
-    _switched(cnc, not inverted)
+    cnc = make_machine(settings={22: 1, 23: inverted})
+    _add_switches(cnc, not inverted)
     motor_steps: list[list[int]] = []
 
     def script() -> Iterator[Any]:
         """Home, move away, home again; note the motor steps after each."""
         yield from cnc.start()
         for line in ("$H", "G53G0X-40Y-60Z-20", "$H"):
-            yield from cnc.sender.wait("idle", line + "\n", 1)
+            yield from cnc.sender.wait("idle", line + "\n", settle=1)
             yield from cnc.rest()
             motor_steps.append(cnc.physical())
             if line == "$H":
@@ -351,25 +351,25 @@ def test_homing_moves_each_motor_alone_and_sets_grbls_position(inverted: int) ->
     # The machine is square from there on.
     moved_steps = [b - a for a, b in zip(motor_steps[0], motor_steps[1], strict=True)]
     expected = [-40 + 1, -60 + 1, -20 + 1] if not inverted else [159, 139, 179]
-    assert tool(moved_steps) == pytest.approx(expected, abs=0.01)
+    assert tool_position(moved_steps) == pytest.approx(expected, abs=0.01)
 
 
 def test_axis_homed_alone_finds_its_place_wherever_the_others_are() -> None:
     """$HX homes X only, while Y is 99 mm lower than after $H."""
-    cnc = machine(settings={22: 1}, SINGLE_AXIS_HOMING=True)
-    _switched(cnc)
+    cnc = make_machine(settings={22: 1}, SINGLE_AXIS_HOMING=True)
+    _add_switches(cnc)
     positions: list[list[float]] = []
 
     def script() -> Iterator[Any]:
         """Home all, move away, home X, move; then home all and move to the same X."""
         yield from cnc.start()
         for line in ("$H", "G53G0X-20Y-100", "$HX", "G53G0X-5Y-1Z-1"):
-            yield from cnc.sender.wait("idle", line + "\n", 1)
+            yield from cnc.sender.wait("idle", line + "\n", settle=1)
             yield from cnc.rest()
             positions.append(cnc.reported())
         positions.append([float(n) for n in cnc.physical()])  # in steps
-        yield from cnc.sender.wait("idle", "$H\n", 1)
-        yield from cnc.sender.wait("idle", "G53G0X-5\n", 1)
+        yield from cnc.sender.wait("idle", "$H\n", settle=1)
+        yield from cnc.sender.wait("idle", "G53G0X-5\n", settle=1)
         yield from cnc.rest()
         positions.append([float(n) for n in cnc.physical()])
 
@@ -384,8 +384,8 @@ def test_axis_homed_alone_finds_its_place_wherever_the_others_are() -> None:
 def test_machine_can_be_homed_after_aborted_homing(byte: str) -> None:
     """A reset, or a door, ends homing after some ms; the next $H succeeds."""
     for ms in (5, 60, 300, 900):
-        cnc = machine(settings={22: 1}, SAFETY_DOOR=byte == "\x84")
-        _switched(cnc)
+        cnc = make_machine(settings={22: 1}, SAFETY_DOOR=byte == "\x84")
+        _add_switches(cnc)
 
         def script(cnc: Machine = cnc, ms: int = ms) -> Iterator[Any]:
             """Abort homing by the byte after some ms; reset, and home again."""
@@ -398,7 +398,7 @@ def test_machine_can_be_homed_after_aborted_homing(byte: str) -> None:
             cnc.take()
             cnc.rig.link.send(b"\x18")
             yield from cnc.rest()
-            yield from cnc.sender.wait("idle", "$H\n", 1)
+            yield from cnc.sender.wait("idle", "$H\n", settle=1)
             yield from cnc.rest()
 
         cnc.run(script())
@@ -410,14 +410,14 @@ def test_soft_limits_apply_to_the_tools_position() -> None:
 
     A jog and a line beyond it are refused.
     """
-    cnc = machine(settings={20: 1, 22: 1, 130: 50, 131: 50, 132: 50})
-    _switched(cnc)
+    cnc = make_machine(settings={20: 1, 22: 1, 130: 50, 131: 50, 132: 50})
+    _add_switches(cnc)
 
     def script() -> Iterator[Any]:
         """Move to the far corner; jog and move beyond it; reset the alarm."""
         yield from cnc.start()
         for line in ("$H", "G53G1X-50Y-50Z-50F3000", "$J=G53X-50.01F900", "G53G0X-1Y-1Z-1"):
-            yield from cnc.sender.wait("idle", line + "\n", 1)
+            yield from cnc.sender.wait("idle", line + "\n", settle=1)
             yield from cnc.rest()
         cnc.rig.link.send(b"G53G0Y-50.01\n")
         yield cnc.rig.ms(1500)
@@ -431,7 +431,7 @@ def test_soft_limits_apply_to_the_tools_position() -> None:
 
 def test_probe_reports_the_tools_position() -> None:
     """The probe closes when the Z motor is 2 mm down."""
-    cnc = machine(watched=False)
+    cnc = make_machine(watched=False)
     call_trace: Any = cnc.rig.engine.trace
     motor_steps = [0, 0, 0]
 
@@ -459,14 +459,14 @@ def test_positions_follow_a_change_of_skew_and_lines_continue_there() -> None:
 
     The same motor steps mean another X of the tool: 20 mm of Y times 0.05 is 1 mm.
     """
-    cnc = machine((0, 0, 0))
+    cnc = make_machine((0, 0, 0))
     steps_and_reports: list[Any] = []
 
     def script() -> Iterator[Any]:
         """Send lines and changes of $780; note motor steps and report after each."""
         yield from cnc.start()
         for line in ("G0X10Y20", "$780=50", "G91", "G0Z1", "G90", "G0X10", "$780=0"):
-            yield from cnc.sender.wait("idle", line + "\n", 1)
+            yield from cnc.sender.wait("idle", line + "\n", settle=1)
             yield from cnc.rest()
             steps_and_reports.append((cnc.physical(), cnc.reported()))
 
@@ -480,14 +480,14 @@ def test_positions_follow_a_change_of_skew_and_lines_continue_there() -> None:
 
 def test_parking_moves_the_tool_straight_up_and_back() -> None:
     """A door opens in a line along X. Z is raised to -5, and X and Y of the tool must stay."""
-    cnc = machine(settings={22: 1, 132: 200}, PARKING=True, SAFETY_DOOR=True)
-    _switched(cnc)
+    cnc = make_machine(settings={22: 1, 132: 200}, PARKING=True, SAFETY_DOOR=True)
+    _add_switches(cnc)
 
     def script() -> Iterator[Any]:
         """Open the door in motion, compare report and steps with those before, and resume."""
         yield from cnc.start()
         for line in ("$H", "M3S500", "G53G0X-40Y-60Z-90"):
-            yield from cnc.sender.wait("idle", line + "\n", 1)
+            yield from cnc.sender.wait("idle", line + "\n", settle=1)
         yield from cnc.rest()
         steps_before = cnc.physical()
         cnc.take()
@@ -502,7 +502,7 @@ def test_parking_moves_the_tool_straight_up_and_back() -> None:
         assert z == pytest.approx(-5, abs=0.005)
         moved_steps = [b - a for a, b in zip(steps_before, cnc.physical(), strict=True)]
         # The move began at X-40, and Z was raised from -90 to -5.
-        assert tool(moved_steps) == pytest.approx([x + 40, 0, 85], abs=0.02)
+        assert tool_position(moved_steps) == pytest.approx([x + 40, 0, 85], abs=0.02)
         yield from cnc.rest()
 
     cnc.run(script())
@@ -512,7 +512,7 @@ def test_parking_moves_the_tool_straight_up_and_back() -> None:
 def test_corexy_and_ganged_motors_can_have_skew() -> None:
     """The motors combine the steps that the motors of a plain skewed machine make."""
     line, end_mm = "G1X10Y20Z-5F900", [10, 20, -5]
-    separate = machine()
+    separate = make_machine()
     separate.play([line])
     x, y, z = separate.physical()
     for options, motors in (
@@ -520,11 +520,11 @@ def test_corexy_and_ganged_motors_can_have_skew() -> None:
         ({"MOVES": ("X+Z", "Y", "X-Z")}, [x + z, y, x - z]),
         ({"STEP": (0, 1, 2, 3), "MOTORS": "XYZY"}, [x, y, z, y]),
     ):
-        cnc = machine(watched=False, **options)
+        cnc = make_machine(watched=False, **options)
         cnc.play([line])
         assert cnc.physical() == motors
         assert cnc.reported() == end_mm
-        cnc = machine(watched=False, **options)
+        cnc = make_machine(watched=False, **options)
         cnc.play([line, "G2X0Y0I-5J-10", "G1Z0", "$J=G91X5Y7F900", "G90G0X10Y20Z-5"])
         assert cnc.physical() == motors
         assert cnc.reported() == end_mm
@@ -532,7 +532,7 @@ def test_corexy_and_ganged_motors_can_have_skew() -> None:
 
 def test_axes_may_have_different_resolutions() -> None:
     """80, 1600 and 400 steps/mm ($100 to $102)."""
-    cnc = machine((40.0, -80.0, 20.0), {100: 80, 101: 1600, 102: 400}, watched=False)
+    cnc = make_machine((40.0, -80.0, 20.0), {100: 80, 101: 1600, 102: 400}, watched=False)
     cnc.play(["G1X10Y20Z-5F900", "G2X0Y0I-5J-10", "G1X30Y-10Z7"])
     x, y, z = [n / per for n, per in zip(cnc.physical(), (80, 1600, 400), strict=True)]
     assert z == 7
@@ -544,7 +544,7 @@ def test_axes_may_have_different_resolutions() -> None:
 
 def test_settings_may_be_negative_are_listed_bounded_and_stored() -> None:
     """A skew is at most 100 mm/m in both directions: other values are refused by error 3."""
-    cnc = machine((0, 0, 0), watched=False)
+    cnc = make_machine((0, 0, 0), watched=False)
     cnc.play(["$780=-1.75", "$781=100.001", "$782=-101", "$781=nan", "$130=-1", "$$"])
     assert cnc.received.count("error:3") >= 2 and "error:4" in cnc.received
     listed = [line for line in cnc.received if line.startswith("$78")]
@@ -568,12 +568,12 @@ def test_conflicting_options_are_refused_with_the_reason(
     options: dict[str, Any] = {"KINEMATICS": {"KINEMATICS": "A"}}
     options["ROTARY"] = {"ROTARY": "A", "STEP": (0, 1, 2, 3), "DIR": (4, 5, 6, 7)}
     with pytest.raises(ValueError, match=f"SKEW and {word} are not for the same machine"):
-        machine(**options.get(word, {word: True})).play([])
+        make_machine(**options.get(word, {word: True})).play([])
 
 
 def test_default_beyond_the_bound_is_refused_with_the_reason() -> None:
     with pytest.raises(ValueError, match=r"DEFAULTS: \$781 may be at most 100 mm/m"):
-        machine(DEFAULTS={781: -101.0}).play([])
+        make_machine(DEFAULTS={781: -101.0}).play([])
 
 
 def test_run_reports_positions_and_distances_of_the_tool(tmp_path: Path) -> None:

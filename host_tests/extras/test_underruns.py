@@ -27,7 +27,7 @@ def drains(lines: "list[str]", pause_ms: float, *, counts: bool = True) -> "list
     vars(board).update(vars(load_board("sim")), COUNT_DRAINS=counts)
     rig = Rig(board, factory_store(load_board("sim")))
     sender = Sender(rig)
-    sender.allow(3_600_000)
+    sender.allow(3_600_000)  # ms
     output: list[str] = []
 
     def script() -> Iterator[Any]:
@@ -37,16 +37,16 @@ def drains(lines: "list[str]", pause_ms: float, *, counts: bool = True) -> "list
             yield from sender.wait("ok", line + "\n")
         for line in lines:
             if line == "~":
-                yield rig.ms(500)
+                yield rig.ms(500)  # until the motion has ended
                 rig.link.send(b"~")
             # M0 is answered after the ~ that follows.
             elif line == "M0":
                 rig.link.send(b"M0\n")
             else:
-                yield from sender.wait("ok", line + "\n", 0)
+                yield from sender.wait("ok", line + "\n", settle=0)
                 yield rig.ms(pause_ms)
         yield from sender.wait("idle", "\n")
-        yield rig.ms(2000)
+        yield rig.ms(2000)  # longer than any counted pause
         sender.take()
         yield from sender.wait("report", "?")
         yield from sender.wait("ok", "$I+\n")

@@ -33,7 +33,7 @@ def board(**options: Any) -> ModuleType:
     return module
 
 
-def played(*lines: str, **options: Any) -> Machine:
+def machine_after(*lines: str, **options: Any) -> Machine:
     """Return a wire cutter after these lines.
 
     _SWIFT has such high rates and accelerations that ramps hardly count.
@@ -43,42 +43,42 @@ def played(*lines: str, **options: Any) -> Machine:
     return machine
 
 
-def places(machine: Machine) -> "list[float]":
+def motor_positions(machine: Machine) -> "list[float]":
     """Return the motors' positions, mm."""
     return [steps / _PER_MM for steps in machine.physical()]
 
 
-def seconds(machine: Machine) -> float:
+def motion_seconds(machine: Machine) -> float:
     """Return the time in s from the first row of steps to the end of the last."""
     first, (start, row) = machine.rows[0][0], machine.rows[-1]
     return float(start + row[0] - first) / machine.rig.engine.tick_hz
 
 
 def test_words_u_and_v_move_the_third_and_fourth_motor() -> None:
-    machine = played("G0X1Y2U3V4", "G91", "G1U-1V1F900", "$J=G91X1U1F900")
-    assert places(machine) == [2, 2, 3, 5]
+    machine = machine_after("G0X1Y2U3V4", "G91", "G1U-1V1F900", "$J=G91X1U1F900")
+    assert motor_positions(machine) == [2, 2, 3, 5]
     assert machine.reported() == [2, 2, 3, 5]
 
 
 @pytest.mark.parametrize("word", ["Z1", "A1", "B1", "W1"])
 def test_letters_of_other_machines_are_refused_and_nothing_moves(word: str) -> None:
-    machine = played(f"G0X1{word}")
+    machine = machine_after(f"G0X1{word}")
     assert "error:20" in machine.received
-    assert places(machine) == [0, 0, 0, 0]
+    assert motor_positions(machine) == [0, 0, 0, 0]
 
 
 def test_a_machine_without_the_option_has_no_u() -> None:
-    assert "error:20" in played("G0U1", XYUV=False).received
+    assert "error:20" in machine_after("G0U1", XYUV=False).received
 
 
 def test_offsets_and_probed_places_are_in_the_order_of_the_motors() -> None:
-    received = played("G10L2P1X1Y2U3V4", "G92V7", "$#").received
+    received = machine_after("G10L2P1X1Y2U3V4", "G92V7", "$#").received
     assert "[G54:1.000,2.000,3.000,4.000]" in received
     assert "[G92:0.000,0.000,0.000,-11.000]" in received  # machine position 0 is 7: 0 - 4 - 7
 
 
 def test_a_sender_for_grblhal_is_given_the_letters() -> None:
-    assert "[AXS:4:XYUV]" in played("$I", DIALECT="hal").received
+    assert "[AXS:4:XYUV]" in machine_after("$I", DIALECT="hal").received
 
 
 @pytest.mark.parametrize(
@@ -92,7 +92,7 @@ def test_a_sender_for_grblhal_is_given_the_letters() -> None:
     ],
 )
 def test_the_end_with_the_longer_way_moves_at_the_feed_rate(line: str, mm: float) -> None:
-    assert seconds(played(f"G1{line}F600")) == pytest.approx(mm / 600 * 60, rel=0.01)
+    assert motion_seconds(machine_after(f"G1{line}F600")) == pytest.approx(mm / 600 * 60, rel=0.01)
 
 
 @pytest.mark.thorough
@@ -103,29 +103,29 @@ def test_any_line_takes_the_time_of_its_longer_end(
     """XY and UV are the two ends of the wire: the one with the longer way has the feed rate."""
     longer_mm = max(math.hypot(x, y), math.hypot(u, v))
     assume(longer_mm > 5)
-    duration_s = seconds(played(f"G1X{x}Y{y}U{u}V{v}F{feed}"))
+    duration_s = motion_seconds(machine_after(f"G1X{x}Y{y}U{u}V{v}F{feed}"))
     assert duration_s == pytest.approx(longer_mm / feed * 60, rel=0.01)
 
 
 @pytest.mark.parametrize("line", ["G93G1X3Y4U6V8F30", "G93G1U1F30"])
 def test_inverse_time_is_the_time_of_the_line(line: str) -> None:
-    assert seconds(played(line)) == pytest.approx(2, rel=0.01)
+    assert motion_seconds(machine_after(line)) == pytest.approx(2, rel=0.01)
 
 
 @pytest.mark.parametrize("end", ["", "U5", "U5V5"])
 def test_on_an_arc_x_and_y_move_at_the_feed_rate(end: str) -> None:
     """A half circle with a radius of 10 mm; U and V, which are straight, do not count."""
-    machine = played(f"G2X20I10{end}F1200")
-    assert seconds(machine) == pytest.approx(math.pi * 10 / 1200 * 60, rel=0.02)
-    assert places(machine)[:2] == [20, 0]
+    machine = machine_after(f"G2X20I10{end}F1200")
+    assert motion_seconds(machine) == pytest.approx(math.pi * 10 / 1200 * 60, rel=0.02)
+    assert motor_positions(machine)[:2] == [20, 0]
 
 
 def test_rates_of_a_jog_and_in_inches_are_those_of_the_longer_end() -> None:
-    assert seconds(played("$J=X3Y4U6V8F600")) == pytest.approx(1, rel=0.01)
-    assert seconds(played("G20", "G1X1U2F60")) == pytest.approx(2, rel=0.01)
+    assert motion_seconds(machine_after("$J=X3Y4U6V8F600")) == pytest.approx(1, rel=0.01)
+    assert motion_seconds(machine_after("G20", "G1X1U2F60")) == pytest.approx(2, rel=0.01)
 
 
-def homed(**options: Any) -> Machine:
+def homed_machine(**options: Any) -> Machine:
     """Return a machine after $H, with a switch per motor, each at another distance."""
     # $22 to $27: homing enabled, its rates, debounce in ms, pull-off in mm.
     settings = {22: 1, 24: 300, 25: 3000, 26: 5, 27: 1, **{110 + i: 3000.0 for i in range(4)}}
@@ -151,13 +151,13 @@ def first_motors(machine: Machine) -> "set[int]":
 
 
 def test_both_ends_are_homed_together() -> None:
-    machine = homed()
+    machine = homed_machine()
     assert machine.reported() == [-1] * 4
     assert first_motors(machine) == {0, 1, 2, 3}
 
 
 def test_homing_has_the_order_of_the_board_file() -> None:
-    machine = homed(HOMING=("YV", "XU"))
+    machine = homed_machine(HOMING=("YV", "XU"))
     assert machine.reported() == [-1] * 4
     assert first_motors(machine) == {1, 3}
 
