@@ -170,6 +170,7 @@ class HomingProbing:
             find(1 << Z)
             find(((1 << self._planner.axes) - 1) & ~(1 << Z))
         self._canon.service()
+        state.stop_override = 0  # of a hold during homing, which has no effect
         self._resync()
         return True
 

@@ -161,6 +161,8 @@ class Realtime:
         Door. Asleep, the machine stays asleep."""
         state = self._state
         self._voice.message(errors.MSG_DOOR_AJAR)
+        if state.run == st.HOMING:  # which has just ended
+            state.suspend = st.HOLD_COMPLETE
         if not state.suspend & st.JOG_CANCEL:
             if state.run == st.DOOR and state.suspend & st.INITIATE_RESTORE:
                 if state.system_motion:  # parking
