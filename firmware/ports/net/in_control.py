@@ -8,7 +8,8 @@ import time
 
 from micropython import const
 
-from ports.net.access import MSG_TAKEN
+from ports.net.access import MSG_TAKEN, READ_ONLY_LINES, plain
+from ports.net.client import asks
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 
     from ports.net.client import Client
 
+_LONGEST_READ_ONLY = const(8)  # longest read-only line, in bytes
 _SILENT_MS = const(5000)  # without a line that does more than read
 
 
@@ -76,6 +78,18 @@ class Control:
         if owner is None or owner.is_gone(now_ms):
             return True
         return at_rest and self.is_silent(owner, now_ms)
+
+    @staticmethod
+    def note_unchecked(driver: "Client", buf: bytearray, count: int, now_ms: int) -> int:
+        """Note what a piece of input (`count` bytes of buf) means for control, before it passes
+        unchecked: it requests a report (?); it is more than one read-only line, so that its client
+        keeps control. Returns count, for the caller to return."""
+        if asks(buf, count):
+            driver.asked = True
+        # plain() drops ? and line ends: a lone ? becomes b"", which READ_ONLY_LINES contains.
+        if count > _LONGEST_READ_ONLY or plain(buf[:count]) not in READ_ONLY_LINES:
+            driver.last_line_ms = now_ms
+        return count
 
     @staticmethod
     def is_silent(client: "Client", now_ms: int) -> bool:

@@ -22,7 +22,7 @@ from micropython import const
 
 from ports.link_memory import DISCARD_PIECES
 from ports.net.access import OK, READ_ONLY_LINES, REFUSED, TAKEN, Access, is_browser, plain
-from ports.net.client import Client, Memory, asks, is_for_all, slot_for
+from ports.net.client import Client, Memory, is_for_all, slot_for
 from ports.net.in_control import Control
 
 TYPE_CHECKING = const(False)
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 
 _MOST_CLIENTS = const(3)  # clients on the network at once
 _PIECE = const(64)  # bytes of one read whose bytes are checked
-_LONGEST_READ_ONLY = const(8)  # longest read-only line, in bytes
 _URGENT = const(16)  # real-time bytes that may wait
 _SERVE_MS = const(10)  # between two rounds of the clients
 _RADIO_MS = const(1000)  # between two checks of the radio
@@ -199,7 +198,7 @@ class NetLink:
         driver = control.driver
         if count:
             if self._passes_unchecked(cable_client):
-                return self._note_unchecked(cable_client, buf, count, now_ms)
+                return control.note_unchecked(cable_client, buf, count, now_ms)
             self._filter_bytes(cable_client, buf, count, now_ms)
         elif driver and driver.conn:
             count = self._read_driver(driver, buf, now_ms)
@@ -223,22 +222,11 @@ class NetLink:
         elif count:
             driver.note_received(now_ms)
             if unchecked:
-                return self._note_unchecked(driver, buf, count, now_ms)
+                return self.control.note_unchecked(driver, buf, count, now_ms)
             self._filter_bytes(driver, piece, count, now_ms)
         elif not driver.send():  # its connection has failed
             self._drop(driver)
         return 0
-
-    def _note_unchecked(self, driver: Client, buf: bytearray, count: int, now_ms: int) -> int:
-        """Note what a piece of input (`count` bytes of buf) means for control, before it passes
-        unchecked: it requests a report (?); it is more than one read-only line, so that its client
-        keeps control. Returns count, for the caller to return."""
-        if asks(buf, count):
-            driver.asked = True
-        # plain() drops ? and line ends: a lone ? becomes b"", which READ_ONLY_LINES contains.
-        if count > _LONGEST_READ_ONLY or plain(buf[:count]) not in READ_ONLY_LINES:
-            driver.last_line_ms = now_ms
-        return count
 
     def _serve_clients(self, now_ms: int) -> None:
         """Serve the network clients (control.driver is read elsewhere); accept a connection."""
