@@ -109,6 +109,31 @@ def test_a_lost_client_with_the_key_keeps_its_place_for_ten_minutes() -> None:
     assert slot_for("10.0.0.1", places, at_rest=True, now_ms=600_001) is places[0]
 
 
+def flood(bench, pipe, ms):
+    """Keep 64 bytes of read-only lines unread for so many ms."""
+    end = bench.rig.ms(ms)
+    while bench.rig.now < end:
+        if len(pipe.unread) < 64:
+            pipe.send("$G\n" * 21)
+        yield bench.rig.ms(2)
+
+
+@pytest.mark.parametrize("by", ["cable", "key"])
+def test_a_flood_of_read_only_lines_delays_no_client_with_the_key(bench, by: str) -> None:
+    def script(bench):
+        """A client without the key sends read-only lines without end: the line of the cable, or
+        of a client with the key (by), is executed within a second."""
+        stranger, pipe = bench.call("10.0.0.66"), (yield from joined(bench))
+        yield from flood(bench, stranger, 500)
+        bench.sender.take()
+        (bench.rig.link.cable if by == "cable" else pipe).send(b"G0X1\n")
+        yield from flood(bench, stranger, 1000)
+        assert (bench.sender.take() if by == "cable" else pipe.take().split()) == ["ok"]
+
+    bench.run(script)
+    assert bench.steps() == [250, 0, 0]
+
+
 # Memory
 
 
