@@ -605,6 +605,9 @@ class NetworkLink(Link, Protocol):
     control: Control
     status: Callable[[], str]  # state of the radio
 
+    def forget_lines(self) -> None:
+        """Forget the lines that a reset drops."""
+
     def by_cable(self) -> bool:
         """Return whether the controlling client is on the cable."""
 

@@ -134,6 +134,29 @@ def test_a_flood_of_read_only_lines_delays_no_client_with_the_key(bench, by: str
     assert bench.steps() == [250, 0, 0]
 
 
+@pytest.mark.parametrize("by", ["cable", "key"])
+def test_a_reset_ends_the_loan_of_a_client_without_the_key(bench, by: str) -> None:
+    def script(bench):
+        """The cable, or a client with the key (by), resets while 20 read-only lines of a client
+        without the key are executed, whose answers are lost: its lines are executed then."""
+        stranger, pipe = bench.call("10.0.0.66"), (yield from joined(bench))
+        yield from bench.wait(50)
+        stranger.take()
+        stranger.send("$G\n" * 20)
+        yield from bench.until(lambda: stranger.got)
+        resetting = bench.rig.link.cable if by == "cable" else pipe
+        resetting.send(b"\x18")
+        yield from bench.wait(1000)
+        assert stranger.take().count("ok") < 20
+        bench.sender.take(), pipe.take()
+        resetting.send(b"G0X1\n")
+        yield from bench.wait(1000)
+        assert (bench.sender.take() if by == "cable" else pipe.take().split()) == ["ok"]
+
+    bench.run(script)
+    assert bench.steps() == [250, 0, 0]
+
+
 # Memory
 
 

@@ -59,7 +59,8 @@ def drop_partial_line(ring: bytearray, state: "array[int]", kinds: bytearray) ->
 
 class Network:
     """`$NET` and its stored values. link: None in a simulator without network. _values: by name,
-    such as SSID, as text. _key_is_unsent: the key was just made, and is still to be reported."""
+    such as SSID, as text. _key_is_unsent: the key was just made, and is still to be reported.
+    _forget_probe: what each reset called before, see Hooks."""
 
     def __init__(self, cnc: "Cnc", link: "NetworkLink | None") -> None:
         machine = cnc.machine
@@ -79,6 +80,8 @@ class Network:
         if link:
             link.control.drop_partial_line = self._drop_partial_line
             link.control.has_partial_line = self._has_partial_line
+            hooks = machine.state.hooks
+            self._forget_probe, hooks.forget_probe = hooks.forget_probe, self._forget
 
     def _new_key(self) -> str:
         """Return a random key of _KEY_LENGTH characters: 39 bits from the chip's noise source."""
@@ -95,6 +98,12 @@ class Network:
         self._saves.save(_STORED_NAME, ["%s=%s" % row for row in sorted(self._values.items())])
 
     # Hooks
+
+    def _forget(self) -> None:
+        """Forget the lines that wait in the link. Called at each reset, which drops the rest."""
+        assert self._link
+        self._link.forget_lines()
+        self._forget_probe()
 
     def complete_handover(self) -> None:
         """Complete a requested handover of control once all lines of the client before are

@@ -129,7 +129,7 @@ class NetLink:
     def discard(self) -> None:
         """Drop the bytes received before a reset, also those still in the connection."""
         self._cable.discard()
-        self.control.give_back()  # a reset also ends a loan of the machine
+        self.forget_lines()
         driver = self.control.driver
         if driver:
             driver.forget()
@@ -149,6 +149,10 @@ class NetLink:
         self._cable.close()
 
     # For extras/net/net_access.py
+
+    def forget_lines(self) -> None:
+        """End a loan of the machine: a reset drops the borrower's lines, unanswered."""
+        self.control.give_back()
 
     def expel(self) -> None:
         """Close all network connections, because the key has changed."""
