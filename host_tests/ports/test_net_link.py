@@ -230,6 +230,23 @@ def test_stops_act_while_another_client_floods_its_connection(bench, byte: str) 
     bench.run(script)
 
 
+@pytest.mark.parametrize("by", ["cable", "key"])
+def test_lines_before_a_reset_are_dropped_with_the_clients_own_reset(bench, by: str) -> None:
+    def script(bench):
+        """A line and Ctrl-X arrive in one packet from a client that is not yet in control: the
+        line is dropped, as from a client in control. The next line is executed."""
+        pipe = yield from joined(bench)
+        client = bench.rig.link.cable if by == "cable" else pipe
+        client.send(b"G91G0X50\n\x18")
+        yield from bench.wait(2000)
+        assert bench.steps() == [0, 0, 0] and "Grbl" in pipe.take()
+        client.send(b"G0X1\n")
+        yield from bench.wait(2000)
+
+    bench.run(script)
+    assert bench.steps() == [250, 0, 0]
+
+
 def test_a_client_that_only_reads_is_never_in_control(bench) -> None:
     def script(bench):
         """Queries without the key give no control: neither while nobody has it, nor after the

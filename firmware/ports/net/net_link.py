@@ -132,7 +132,6 @@ class NetLink:
         self.forget_lines()
         driver = self.control.driver
         if driver:
-            driver.forget()
             for _ in range(DISCARD_PIECES if driver.conn else 0):
                 driver.read(self._piece)
         self._urgent_count = 0
@@ -151,8 +150,11 @@ class NetLink:
     # For extras/net/net_access.py
 
     def forget_lines(self) -> None:
-        """End a loan of the machine: a reset drops the borrower's lines, unanswered."""
+        """Drop what was received before a reset and waits here, as the machine drops what it was
+        passed. A loan of the machine ends: the borrower's lines are never answered."""
         self.control.give_back()
+        for client in self._all:
+            client.forget()
 
     def expel(self) -> None:
         """Close all network connections, because the key has changed."""
