@@ -497,6 +497,32 @@ def test_network_client_gets_the_welcome_of_grblhal(monkeypatch: Any) -> None:
     bench.run(script)
 
 
+@pytest.mark.parametrize("by", ["cable", "key"])
+@pytest.mark.parametrize(("byte", "state"), [(b"\x19", "<Idle|"), (b"\x82", "<Hold:0|")])
+def test_stops_of_grblhal_act_during_anothers_control(
+    monkeypatch: Any, by: str, byte: bytes, state: str
+) -> None:
+    """byte: stop or hold, from the cable or another client with the key (by)."""
+    bench = NetBench(monkeypatch, board=board(LINK="wifi"))
+
+    def script(bench: Any) -> Iterator[Any]:
+        """One client moves, another one stops it."""
+        one, two = bench.call(), bench.call()
+        yield from connected(bench, one, f"\r\n{_WELCOME}\r\n")
+        yield from connected(bench, two, f"\r\n{_WELCOME}\r\n")
+        yield from bench.ask(one, "G91G1X50F1500\n")
+        yield from bench.wait(500)
+        (bench.rig.link.cable if by == "cable" else two).send(byte)
+        yield from bench.wait(1500)  # it slows down
+        assert 0 < bench.steps()[0] < 20 * 250  # 250 steps/mm
+        one.take()
+        one.send(b"?")
+        yield from bench.until(lambda: b">" in one.got)
+        assert one.take().startswith(state)
+
+    bench.run(script)
+
+
 def test_build_for_this_dialect_contains_the_texts(monkeypatch: Any) -> None:
     """hal.txt is in the build of a Pico with DIALECT="hal"; nothing is compiled here."""
     monkeypatch.setattr(build, "compile_all", lambda *_: build.Build("armv6m"))

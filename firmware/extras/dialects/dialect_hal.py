@@ -233,6 +233,8 @@ def install(cnc: "Cnc") -> None:
     if hasattr(link, "welcome"):  # a network link
         link.welcome = _WELCOME
         link.questions = b"?\x80\x87"  # type: ignore[attr-defined]  # ask for a status report
+        link.realtime += b"\x19"  # type: ignore[attr-defined]  # stop
+        link.stops += b"\x19\x82"  # type: ignore[attr-defined]  # stop, hold
     # $ES, $EA and so on: see FILE.
     cnc.add_command(b"E", lambda rest: _send_rows(cnc, b"E" + rest), _READING_STATES)
     cnc.add_command(b"+", lambda _: commands.show_settings(), _READING_STATES)

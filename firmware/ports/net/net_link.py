@@ -39,8 +39,6 @@ _RADIO_MS = const(1000)  # between two checks of the radio
 _UPPER = const(0x80)  # bytes from here on are real-time commands
 
 _JOG_CANCEL = const(0x85)  # a real-time byte
-_STOPS = b"\x18!\x84\x85"  # Ctrl-X, feed hold, door, jog cancel
-_REALTIME = b"\x18!~"  # Ctrl-X, feed hold, cycle start; ? is apart, see questions
 _FIRST_OF_ANSWER = b"oe"  # the first letters of ok and error:
 _FIRST_OF_REPORT = const(0x3C)  # < of a status report
 
@@ -65,9 +63,11 @@ class NetLink:
         self.is_slow = cable.is_slow
         self.check_supervisor: "Callable[[], None]" = lambda: None
         self.on_poll: "Callable[[], None] | None" = None
-        # The greeting of a client, and the bytes that request a status report.
+        # The dialect's: greeting; bytes that ask for a report; real-time bytes below 0x80; stops.
         self.welcome = b"\r\nGrbl 1.1h ['$' for help]\r\n"
         self.questions = b"?"
+        self.realtime = b"\x18!~"  # Ctrl-X, feed hold, cycle start
+        self.stops = b"\x18!\x84\x85"  # Ctrl-X, feed hold, door, jog cancel
         self.access = Access()
         # radio: called once a second, with whether the machine is idle; status: returns its state.
         self.radio: "Callable[[bool], None] | None" = None
@@ -298,7 +298,7 @@ class NetLink:
                 if client.trusted or client.can_be_answered():
                     client.asked = True
                     self._queue_realtime(byte)
-            elif byte >= _UPPER or byte in _REALTIME:
+            elif byte >= _UPPER or byte in self.realtime:
                 if self._may_act(client, byte, now_ms):
                     self._queue_realtime(byte)
             elif byte in b"\r\n":
@@ -317,7 +317,7 @@ class NetLink:
         others only in control, which the client gets here if that is allowed."""
         if not client.trusted:
             return False
-        acts = client is self.control.owner or byte in _STOPS
+        acts = client is self.control.owner or byte in self.stops
         return acts or self._request_control(client, reads=False, now_ms=now_ms)
 
     def _request_control(self, client: Client, reads: bool, now_ms: int) -> bool:
@@ -329,7 +329,7 @@ class NetLink:
         count = self._urgent_count
         if byte in bytes(self._urgent[:count]):  # queued already
             return
-        if count == _URGENT and byte in _STOPS:
+        if count == _URGENT and byte in self.stops:
             count -= 1  # it replaces the last one
         if count < _URGENT:
             self._urgent[count] = byte
