@@ -566,6 +566,27 @@ def test_a_line_begun_at_the_cable_is_not_broken_by_a_connection(bench) -> None:
     assert bench.steps()[0] == 51 * 250 and "G91" not in bench.sender.take()
 
 
+def test_waiting_lines_of_the_cable_are_dropped_when_another_takes_control(bench) -> None:
+    def script(bench):
+        """A line of the cable waits after the dwell of a client that has gone, until another
+        client takes control: it is not executed when the cable is in control again."""
+        gone, other = (yield from joined(bench)), (yield from joined(bench))
+        gone.send("G4P7\n")
+        yield from bench.wait(100)
+        gone.has_hung_up = True
+        yield from bench.wait(100)
+        bench.rig.link.cable.send(b"G91G0X40\n")
+        yield from bench.wait(6000)  # the cable is silent so long that control is free
+        assert (yield from bench.ask(other, "G91G0X1\n")) == "ok\r\n"
+        other.has_hung_up = True
+        yield from bench.wait(1000)
+        bench.rig.link.cable.send(b"G0X1\n")
+        yield from bench.wait(3000)
+
+    bench.run(script)
+    assert bench.steps() == [500, 0, 0]  # 250 steps/mm, 1 mm of each client
+
+
 def test_network_settings_of_a_client_that_hung_up_are_not_the_cables(bench) -> None:
     def script(bench):
         """A command for a new key waits after a dwell when its client leaves. It must not be

@@ -103,9 +103,10 @@ class Control:
         if not self.is_borrowed():
             self._hand_over(owner)
         self.owner = owner
-        if old_owner and old_owner.conn:
+        if old_owner:
             old_owner.forget()  # its lines that wait
-            old_owner.put(MSG_TAKEN)
+            if old_owner.conn:
+                old_owner.put(MSG_TAKEN)
 
     def _hand_over(self, driver: "Client | None") -> None:
         """Switch to another client's lines. Those before are still executed (ending, until
