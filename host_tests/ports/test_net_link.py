@@ -587,6 +587,29 @@ def test_waiting_lines_of_the_cable_are_dropped_when_another_takes_control(bench
     assert bench.steps() == [500, 0, 0]  # 250 steps/mm, 1 mm of each client
 
 
+@pytest.mark.parametrize("number", range(215, 242, 3))
+def test_waiting_lines_of_the_cable_are_executed_whole_or_refused(bench, number: int) -> None:
+    def script(bench):
+        """Lines of the cable wait after the dwell of a client that has gone: more than fit into
+        256 bytes. A comment of `number` bytes comes first: the space ends anywhere in a line."""
+        gone = yield from joined(bench)
+        gone.send("G4P3\n")
+        yield from bench.wait(100)
+        gone.has_hung_up = True
+        yield from bench.wait(100)
+        bench.sender.take()
+        bench.rig.link.cable.send(b"(" + b"x" * (number - 2) + b")" + b"G91G0X1.0Y1.0\n" * 3)
+        yield from bench.wait(2000)
+        bench.rig.link.cable.send(b"G91G0X1.0Y1.0\n")
+        yield from bench.wait(5000)
+        answers = bench.sender.take()
+        assert sorted(set(answers)) == ["error:11", "ok"] and len(answers) == 4
+        bench.moves = answers.count("ok")
+
+    bench.run(script)
+    assert bench.steps() == [250 * bench.moves, 250 * bench.moves, 0]  # 250 steps/mm
+
+
 def test_network_settings_of_a_client_that_hung_up_are_not_the_cables(bench) -> None:
     def script(bench):
         """A command for a new key waits after a dwell when its client leaves. It must not be

@@ -186,8 +186,9 @@ class Client:
         return self.trusted and self.length <= _RECEIVED_BYTES - _READ_BYTES
 
     def keep(self, byte: int) -> None:
-        """Store a received byte; one that does not fit is lost, and the line is then too long."""
-        if self.length < _RECEIVED_BYTES:
+        """Store a received byte; one that does not fit is lost, and the line is then too long. One
+        byte stays free for the line's end."""
+        if self.length < _RECEIVED_BYTES - 1:
             self.received[self.length] = byte
             self.length += 1
         else:
@@ -195,7 +196,9 @@ class Client:
 
     def end_line(self, byte: int, now_ms: int) -> None:
         """Store the end of a line (byte: CR or LF), which may be passed to the machine then."""
-        self.keep(byte)
+        if self.length < _RECEIVED_BYTES:
+            self.received[self.length] = byte
+            self.length += 1
         self.ready = self.length
         if self.trusted:
             self.last_line_ms = now_ms

@@ -305,8 +305,9 @@ class NetLink:
                 self._end_line(client, byte, now_ms)
             else:
                 client.keep(byte)
-                if client is self.control.owner:  # its bytes need not wait for a line's end
-                    client.ready = client.length
+                if client is self.control.owner:
+                    if not (self.control.ending or self.control.is_borrowed()):
+                        client.ready = client.length  # need not wait for the line's end
                 elif is_browser(client.received, client.length):
                     self._drop(client)
             if not client.conn and client is not self._cable_client:  # it was dropped
@@ -337,8 +338,8 @@ class NetLink:
 
     def _end_line(self, client: Client, byte: int, now_ms: int) -> None:
         """End a client's line by CR or LF (byte). A line not for the machine is answered here: by
-        ok if empty, by the key's check, or by a refusal."""
-        if client is self.control.owner:
+        ok if empty, by the key's check, or by a refusal, as one whose bytes did not all fit."""
+        if client is self.control.owner and not client.is_too_long:
             client.end_line(byte, now_ms)
             return
         start = client.ready  # of this line; those before it wait already
