@@ -611,6 +611,9 @@ class NetworkLink(Link, Protocol):
     def by_cable(self) -> bool:
         """Return whether the controlling client is on the cable."""
 
+    def answer(self, data: bytes) -> None:
+        """Write only to the client whose line is executed."""
+
     def write_cable(self, data: bytes) -> None:
         """Write to the cable only."""
 

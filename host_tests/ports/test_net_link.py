@@ -68,7 +68,7 @@ def test_a_report_goes_only_to_the_client_that_asked(bench) -> None:
     bench.run(script)
 
 
-@pytest.mark.parametrize("line", ["$G\n", "$#\n", "$I\n", "$N\n", "$$\n"])
+@pytest.mark.parametrize("line", ["$G\n", "$#\n", "$I\n", "$N\n", "$$\n", "$NET\n"])
 def test_an_answer_goes_only_to_the_client_that_asked(bench, line: str) -> None:
     def script(bench):
         """Answers to `line` go to one of two clients; only messages, as that of M30, go to all."""

@@ -157,10 +157,12 @@ class Network:
         """Execute $NET, or $NET/…: rest is the text after $NET; the reader drops the slash. Raises
         GrblError."""
         text, link = text_of(rest), self._link
-        if not rest:
-            count = link.client_count() if link else 0
-            status = link.status() if link else "no network is set up"
-            self._cnc.message("Network: %s; connected: %d" % (status, count))
+        if not rest and link:
+            # Only to the client that asks: it may be one without the key, which asks on and on.
+            state = "[MSG:Network: %s; connected: %d]\r\n" % (link.status(), link.client_count())
+            link.answer(state.encode())
+        elif not rest:
+            self._cnc.message("Network: no network is set up; connected: 0")
         elif link is None:
             self._refuse("There is no network here")
         elif not link.by_cable():

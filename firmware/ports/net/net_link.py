@@ -166,6 +166,11 @@ class NetLink:
         """Return whether the client whose lines are executed is at the cable."""
         return self.control.driver is self._cable_client and not self.control.ending
 
+    def answer(self, data: bytes) -> None:
+        """Send output only to the client whose line is executed, unlike _distribute()."""
+        if self.control.receiver:
+            self._send(self.control.receiver, data)
+
     def write_cable(self, data: bytes) -> None:
         """Send output that only the cable's client may read."""
         self._write_to_cable(data)
