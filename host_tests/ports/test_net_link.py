@@ -393,6 +393,28 @@ def test_line_of_a_client_that_takes_control_during_a_job_is_refused(with_job) -
     assert with_job.steps() == _JOB_STEPS
 
 
+@pytest.mark.parametrize("start", ["A10", "<Idle|", "\n", "[MSG:", "ok", "error:9"])
+def test_the_text_of_a_job_goes_only_to_the_client_that_asked(
+    with_job, tmp_path, start: str
+) -> None:
+    """Pieces of 128 bytes of the file begin with `start`, like output for other clients."""
+    text = f"{start:x<128}" * 3
+    (tmp_path / "T.NC").write_text(text)
+
+    def script(bench):
+        """One of three clients shows the job ($F<=)."""
+        asking, watching = (yield from joined(bench)), (yield from joined(bench))
+        stranger = bench.call("10.0.0.66")
+        yield from connected(bench, stranger)
+        bench.sender.take(), watching.take(), asking.take()
+        asking.send("$F<=T.NC\n")
+        yield from bench.wait(500)
+        assert asking.take() == text + "\r\nok\r\n"
+        assert watching.take() == stranger.take() == "" and bench.sender.take() == []
+
+    with_job.run(script)
+
+
 def test_a_reconnected_client_can_resume_a_moving_machine(bench) -> None:
     def script(bench):
         """A new connection may hold ("!") at once, but resume ("~") only once the controlling

@@ -20,6 +20,7 @@ from extras.jobs.job_upload import Upload
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from types import ModuleType
 
     from interfaces import JobFiles, Options
@@ -50,9 +51,12 @@ def install(cnc: "Cnc") -> None:
     files = _found["files"]
     assert files
     files.on_progress = cnc.service
+    link = cnc.machine.protocol.link  # before JobRun puts its own around it
     reader = LineReader(_READ_AHEAD, _LONGEST_LINE, cnc.machine.reader.post)
     cnc.job = run = JobRun(cnc, files, reader)
     jobs = Jobs(cnc, files, run, Upload(cnc, files, reader))
+    # A network link sends some output to all clients, by how it begins; a file may begin so, too.
+    jobs.send_text = getattr(link, "answer", link.write)
     cnc.add_command(b"F", jobs.command, _STATES)
     cnc.add_command(b"SD", jobs.fluidnc, _STATES)
     cnc.add_command(b"LOCALFS", jobs.fluidnc, _STATES)
@@ -65,7 +69,9 @@ def install(cnc: "Cnc") -> None:
 
 
 class Jobs:
-    """The commands of jobs."""
+    """The commands of jobs. send_text: sends a part of a file to the sender that asked."""
+
+    send_text: "Callable[[bytes], object]"
 
     def __init__(self, cnc: "Cnc", files: "JobFiles", run: JobRun, upload: Upload) -> None:
         self._cnc = cnc
@@ -145,9 +151,9 @@ class Jobs:
                 piece = file.read(_SHOWN_BYTES)
                 if not piece:
                     break
-                self._machine.report.send(piece)
+                self.send_text(piece)
                 self._cnc.service()
-        self._machine.report.send(b"\r\n")
+        self.send_text(b"\r\n")
 
     def _report_button(self) -> None:
         """Report the start button's job."""
