@@ -87,17 +87,17 @@ def files_of(board: str) -> "Mapping[str, bytes | None]":
 def altered(old: str, new: str) -> "Mapping[str, bytes]":
     """Return the files of the firmware with one text replaced in exactly one of its sources."""
     read = build._text
-    found = set()
+    changed_sources = set()
 
     def text(source: str) -> str:
-        there = read(source)
-        if old in there:
-            found.add(source)
-        return there.replace(old, new)
+        content = read(source)
+        if old in content:
+            changed_sources.add(source)
+        return content.replace(old, new)
 
     with patch.object(build, "_text", text):
         files = build.for_board(BOARD_FILE).files
-    assert len(found) == 1, f"{old!r} is in {sorted(found)}"
+    assert len(changed_sources) == 1, f"{old!r} is in {sorted(changed_sources)}"
     return files
 
 
@@ -106,11 +106,11 @@ class Sender(ABC):
 
     @property
     @abstractmethod
-    def said(self) -> str:
+    def output(self) -> str:
         """Return the board's output since it was cleared."""
 
     @abstractmethod
-    def forget(self) -> None:
+    def clear_output(self) -> None:
         """Clear the output."""
 
     @abstractmethod
@@ -123,20 +123,20 @@ class Sender(ABC):
 
     def ask(self, line: str, until: str = "ok\r\n", limit_us: float = _ANSWER_US) -> str:
         """Send a line and return its answer."""
-        self.forget()
+        self.clear_output()
         self.send(line + "\n")
         return self.wait_for(until, limit_us)
 
     def status(self) -> "dict[str, str]":
         """Return the fields of a status report; the state is under "state"."""
-        self.forget()
+        self.clear_output()
         self.send("?")
         report = self.wait_for(">\r\n").partition("<")[2].partition(">")[0]
         state, *fields = report.split("|")
         return {"state": state, **dict(field.split(":", 1) for field in fields)}
 
     def python(self, code: str, prompt: str = "Here is the REPL") -> str:
-        """Go to MicroPython's prompt, run code and return its output."""
+        """Go to MicroPython's raw prompt (Ctrl-C, Ctrl-A), run code and return its output."""
         self.send("\x03\x03\x03")
         self.wait_for(prompt)
         self.send("\x01")
@@ -145,10 +145,10 @@ class Sender(ABC):
 
     def python_again(self, code: str) -> str:
         """Run more code at the prompt and return its output."""
-        self.forget()
+        self.clear_output()
         self.send(code + "\x04")
         self.wait_for("\x04>", 10_000_000)
-        return self.said.removeprefix("OK").partition("\x04")[0]
+        return self.output.removeprefix("OK").partition("\x04")[0]
 
 
 class Board(Sender):
@@ -182,19 +182,19 @@ class Board(Sender):
         return self
 
     @property
-    def said(self) -> str:
+    def output(self) -> str:
         """Return the bytes received over USB since they were cleared, as text."""
         return self.pico.usb.received.decode("latin-1")
 
-    def forget(self) -> None:
+    def clear_output(self) -> None:
         """Clear the output."""
         self.pico.usb.received.clear()
 
     def wait_for(self, text: str, limit_us: float = _ANSWER_US) -> str:
         """Let the chip run until its output contains the text; return the output."""
-        found = self.pico.run_until(lambda: text in self.said, limit_us)
-        assert found, f"no {text!r} in {self.said!r}"
-        return self.said
+        has_come = self.pico.run_until(lambda: text in self.output, limit_us)
+        assert has_come, f"no {text!r} in {self.output!r}"
+        return self.output
 
     def send(self, text: "str | bytes") -> None:
         """Send bytes to the board."""
@@ -209,7 +209,7 @@ class Board(Sender):
         end = self.pico.us + limit_us
         self.pico.run_us(5_000)
         while self.status()["state"] != "Idle":
-            assert self.pico.us < end, f"not idle: {self.said}"
+            assert self.pico.us < end, f"not idle: {self.output}"
             self.pico.run_us(20_000)
 
 

@@ -36,14 +36,14 @@ def forked(do: "Callable[[], None]") -> int:
         os._exit(status)
 
 
-def told(tell: "Callable[[Callable[[Any], None]], None]") -> "tuple[list[Any], bool]":
+def results_of(run: "Callable[[Callable[[Any], None]], None]") -> "tuple[list[Any], bool]":
     """Return all results of a forked process and its children, and whether it succeeded."""
     reader, writer = os.pipe()
 
-    def hand_over(found: "Any") -> None:
-        os.write(writer, json.dumps(found).encode() + b"\n")  # short enough for one write
+    def send(result: "Any") -> None:
+        os.write(writer, json.dumps(result).encode() + b"\n")  # short enough for one write
 
-    process = forked(lambda: tell(hand_over))
+    process = forked(lambda: run(send))
     os.close(writer)
     with open(reader, encoding="ascii") as pipe:
         lines = pipe.readlines()

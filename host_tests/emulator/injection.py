@@ -30,7 +30,7 @@ SILENCE = ("_DEAF_MS = const(500)", "_DEAF_MS = const(20)")
 STEPS_PER_MM = 250
 TRIALS_PER_LIFE = 15
 
-_REST_US = 10_000  # at most; varies the phase of the timers at every start
+_START_DELAY_US = 10_000  # at most; varies the phase of the timers at every start
 _WITHIN_US = 90_000
 _SENDER_US = 200  # between two checks of the sender for answers
 _WATCHED_US = 15_000  # after a stop
@@ -54,17 +54,17 @@ class Life:
     def __init__(self, machine: Board, odometer: Odometer, number: int) -> None:
         self.machine = machine
         self.odometer = odometer
-        self.begin, self._lines = PROGRAMS[number % len(PROGRAMS)]
-        self._rest_us = Random(number).uniform(0, _REST_US)
+        self.setup_line, self._lines = PROGRAMS[number % len(PROGRAMS)]
+        self._start_delay_us = Random(number).uniform(0, _START_DELAY_US)
         self._sent: list[str] = []
 
     def start(self) -> None:
         """Start from rest, and discard the earlier records."""
         pico = self.machine.pico
-        pico.run_us(self._rest_us)
-        self.machine.ask(self.begin)
-        self.machine.forget()
-        self.made = self.odometer.read()
+        pico.run_us(self._start_delay_us)
+        self.machine.ask(self.setup_line)
+        self.machine.clear_output()
+        self.start_steps = self.odometer.read()
         self._start_us = self._due_us = pico.us
 
     def run_to(self, after_us: float) -> None:
@@ -86,10 +86,10 @@ class Life:
             return self._answers() >= lines
 
         answered = self.machine.pico.run_until(is_answered, limit_us)
-        assert answered, f"no answer to all lines: {self.machine.said}"
+        assert answered, f"no answer to all lines: {self.machine.output}"
 
     def _answers(self) -> int:
-        return self.machine.said.count("ok\r\n")
+        return self.machine.output.count("ok\r\n")
 
     def _send_what_fits(self, most_lines: "int | None" = None) -> None:
         while most_lines is None or len(self._sent) < most_lines:
@@ -119,7 +119,9 @@ class Trial:
             self.play(life)
         except AssertionError as reason:
             at_ms = self.at_us / 1000
-            trouble = f"seed {self.seed}, {self.act} at {at_ms:.3f} ms of {life.begin}: {reason}"
+            trouble = (
+                f"seed {self.seed}, {self.act} at {at_ms:.3f} ms of {life.setup_line}: {reason}"
+            )
         return Outcome(self.seed, self.act, self.latency_us, trouble)
 
     def play(self, life: Life) -> None:
@@ -138,7 +140,7 @@ class Trial:
         """Prepare the machine for the next trial, whatever the result was."""
         machine.pico.run_us(_SETTLED_US)
         self._release(machine)
-        machine.forget()
+        machine.clear_output()
         machine.send("\x18")
         machine.wait_for("Grbl 1.1h")
         machine.ask("$X")
@@ -168,8 +170,10 @@ class Trial:
         assert self._pico.level(SPINDLE_PWM) == 0, "the spindle's output is on"
         moved = any(edge.pin in STEP and edge.ns < self._injected_us * 1000 for edge in edges)
         self._check_reset(moved)
-        late = [edge for edge in self._pico.edges if edge.pin not in DIR][len(edges) :]
-        assert not late, f"edges during the reset: {late[:3]}"
+        edges_during_reset = [edge for edge in self._pico.edges if edge.pin not in DIR][
+            len(edges) :
+        ]
+        assert not edges_during_reset, f"edges during the reset: {edges_during_reset[:3]}"
 
     def _check_reset(self, moved: bool) -> None:
         """Check the messages, and the reset, which must be sent after a limit."""
@@ -180,7 +184,7 @@ class Trial:
             self._machine.wait_for("ALARM:3\r\n")
         self._release(self._machine)
         if self.act == "limit":
-            self._machine.forget()
+            self._machine.clear_output()
             self._machine.send("\x18")
         self._machine.wait_for("Grbl 1.1h")
         self._machine.ask("$X")
@@ -195,20 +199,20 @@ class Trial:
         self._pico.run_us(3_000)
         self._release(self._machine)
         assert self._pico.run_until(self._is_held, 200_000), "it does not hold"
-        steps = [edge.ns for edge in self._pico.edges if edge.pin in STEP]
-        self.latency_us = self._since_injected_us(max(steps, default=0.0))
+        step_times_ns = [edge.ns for edge in self._pico.edges if edge.pin in STEP]
+        self.latency_us = self._since_injected_us(max(step_times_ns, default=0.0))
         self._life.odometer.read()
         self._pico.run_us(10_000)
         assert not self._pico.edges, "an output moves during a hold"
         self._machine.send("~")
         self._life.end_round(_IDLE_US)
         self._machine.until_idle(_IDLE_US)
-        assert self._life.odometer.read() == self._life.made, "steps were lost in a hold"
+        assert self._life.odometer.read() == self._life.start_steps, "steps were lost in a hold"
 
     def _is_held(self) -> bool:
         self._machine.send("?")
         self._pico.run_us(3_000)
-        return "<Hold:0" in self._machine.said
+        return "<Hold:0" in self._machine.output
 
     # Both
 
@@ -219,8 +223,12 @@ class Trial:
         machine.ask("G91G1X0.1Y-0.08Z0.04F3000")
         self._pico.run_us(15_000)
         machine.until_idle(_IDLE_US)
-        made = odometer.read()
-        moved = [(now - was) / STEPS_PER_MM for now, was in zip(made, before, strict=True)]
-        assert moved == [0.1, -0.08, 0.04], f"the next move is {moved}"
-        told = [float(mm) * STEPS_PER_MM for mm in machine.status()["MPos"].split(",")]
-        assert told == pytest.approx(made, abs=0.3), f"reported {told} steps, made {made}"
+        motor_steps = odometer.read()
+        moved_mm = [
+            (now - was) / STEPS_PER_MM for now, was in zip(motor_steps, before, strict=True)
+        ]
+        assert moved_mm == [0.1, -0.08, 0.04], f"the next move is {moved_mm}"
+        reported_steps = [float(mm) * STEPS_PER_MM for mm in machine.status()["MPos"].split(",")]
+        assert reported_steps == pytest.approx(motor_steps, abs=0.3), (
+            f"reported {reported_steps} steps, made {motor_steps}"
+        )

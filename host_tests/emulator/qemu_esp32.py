@@ -106,10 +106,10 @@ class Esp32(Sender):
     # The serial line
 
     @property
-    def said(self) -> str:
+    def output(self) -> str:
         return self.received.decode("latin-1")
 
-    def forget(self) -> None:
+    def clear_output(self) -> None:
         self.received.clear()
 
     def send(self, text: "str | bytes") -> None:
@@ -118,10 +118,10 @@ class Esp32(Sender):
     def wait_for(self, text: str, limit_us: float = 0) -> str:
         """Wait as a Board does, but with a limit in this computer's time; limit_us is ignored."""
         end = time.monotonic() + _PATIENCE_S
-        while text not in self.said:
-            assert time.monotonic() < end, f"no {text!r} in {self.said!r}"
+        while text not in self.output:
+            assert time.monotonic() < end, f"no {text!r} in {self.output!r}"
             self.received += self.port.read(max(1, self.port.in_waiting))
-        return self.said
+        return self.output
 
     def boot(self) -> "Esp32":
         """Run until it answers; a first start stores the factory settings. Return self."""
@@ -129,7 +129,7 @@ class Esp32(Sender):
         self.ask("")
         return self
 
-    def comes_to(self, state: str) -> "dict[str, str]":
+    def wait_for_state(self, state: str) -> "dict[str, str]":
         """Let the machine run until it is in this state; return the report."""
         end = time.monotonic() + _PATIENCE_S
         while (report := self.status())["state"] != state:

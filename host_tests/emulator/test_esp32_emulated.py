@@ -58,7 +58,7 @@ def vectors_and_kernels() -> "dict[str, bytes]":
     return {build.path_of(name): code for name, code in compiled.items()}
 
 
-def counted(steps: "list[Step]") -> "list[int]":
+def signed_sums(steps: "list[Step]") -> "list[int]":
     """Return the sum of the steps of each axis, with their signs."""
     sums = [0, 0, 0]
     direction = load_board("esp32_devkit").DIR
@@ -79,7 +79,7 @@ def test_compiled_kernels_compute_the_integers_of_the_desktop(image: Path) -> No
         printed = board.python_again(code).splitlines()
         for number, (due, line) in enumerate(zip(expected, printed, strict=False)):
             assert due == line, f"line {number} of {part}"
-        assert len(expected) == len(printed) > 300, board.said[-500:]
+        assert len(expected) == len(printed) > 300, board.output[-500:]
 
 
 def test_empty_board_is_deployed_and_up_to_date(image: Path, files: "dict[str, bytes]") -> None:
@@ -117,10 +117,10 @@ def test_number_of_steps_is_exact_and_none_comes_early(machine: Esp32) -> None:
     before = len(machine.steps())
     for line in ("G91 G1 X4 F480", "G1 X-1 Y2 F400", "G1 X-3 Y-2 Z0.5 F300"):
         machine.ask(line)
-    report = machine.comes_to("Idle")
+    report = machine.wait_for_state("Idle")
     steps = machine.steps()[before:]
     assert report["MPos"] == "0.000,0.000,0.500"
-    assert counted(steps) == [0, 0, 125]
+    assert signed_sums(steps) == [0, 0, 125]
     counts = [sum(step.channel == _BLOCKS * axis for step in steps) for axis in range(3)]
     assert counts == [2000, 1000, 125]  # 8, 4 and 0.5 mm in either direction
     x_us = [step.us for step in steps if step.channel == 0]
@@ -132,20 +132,20 @@ def test_hold_loses_no_step_and_reset_in_motion_is_an_alarm(machine: Esp32) -> N
     """A hold in a move of 3 mm, which is resumed; then a reset in the move back."""
     before = len(machine.steps())
     machine.ask("G91 G1 X3 F480")
-    machine.comes_to("Run")
+    machine.wait_for_state("Run")
     machine.send("!")
-    machine.comes_to("Hold:0")
-    steps_until_hold = counted(machine.steps()[before:])[0]
+    machine.wait_for_state("Hold:0")
+    steps_until_hold = signed_sums(machine.steps()[before:])[0]
     assert 0 < steps_until_hold < 750
     machine.send("~")
-    machine.comes_to("Idle")
-    assert counted(machine.steps()[before:])[0] == 750  # 3 mm at 250 steps/mm
+    machine.wait_for_state("Idle")
+    assert signed_sums(machine.steps()[before:])[0] == 750  # 3 mm at 250 steps/mm
     machine.ask("G1 X-3")
-    machine.comes_to("Run")
-    machine.forget()
+    machine.wait_for_state("Run")
+    machine.clear_output()
     machine.send("\x18")
     assert "ALARM:3" in machine.wait_for("[MSG:'$H'|'$X' to unlock]")
-    assert machine.comes_to("Alarm")
+    assert machine.wait_for_state("Alarm")
     machine.ask("$X")
 
 
@@ -157,7 +157,7 @@ def test_lines_are_answered_as_by_real_grbl(machine: Esp32, category: str) -> No
     if not recorded.is_file():
         pytest.skip(f"the recordings are not there: {recorded}")
     machine.ask("G90 G53 G0 X0 Y0 Z0")  # their start
-    machine.comes_to("Idle")
+    machine.wait_for_state("Idle")
     played = 0
     for case in json.loads(recorded.read_text("utf-8")):
         steps = case["steps"]
@@ -167,13 +167,13 @@ def test_lines_are_answered_as_by_real_grbl(machine: Esp32, category: str) -> No
             continue
         if re.search(r"\$[^G]|G10|G28|G30|G38|G92", "".join(step["send"] for step in steps)):
             continue
-        machine.forget()
+        machine.clear_output()
         machine.send("\x18")
         machine.wait_for("for help]\r\n")
         for step in steps:
             machine.ask(step["send"].rstrip("\n"), f"{step['expect'][-1]}\r\n")
-            assert machine.said.splitlines() == step["expect"], case["name"]
-        machine.comes_to("Idle")
+            assert machine.output.splitlines() == step["expect"], case["name"]
+        machine.wait_for_state("Idle")
         played += 1
     assert played > _SOME
 

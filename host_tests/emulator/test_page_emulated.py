@@ -72,7 +72,7 @@ def person(frozen_uf2: Path, tmp_path: Path) -> Iterator[Person]:
         port.close()
 
 
-def waits(person: Person, condition: str) -> None:
+def wait_until(person: Person, condition: str) -> None:
     """Wait up to 20 minutes until this condition of JavaScript holds in the page."""
     person.page.wait_for_function(f"() => {condition}", timeout=1_200_000)
 
@@ -82,7 +82,9 @@ def test_empty_board_becomes_a_machine_and_its_file_is_read_back(person: Person)
     """In the end a file with a syntax error is sent: the page shows the line."""
     person.open_from_disk()
     person.click("#connect")
-    waits(person, "$('setup-found').textContent.includes('with ugrbl and without a board file')")
+    wait_until(
+        person, "$('setup-found').textContent.includes('with ugrbl and without a board file')"
+    )
     person.click("#setup-actions button")
     assert person.page.input_value("#board-chip") == "pico"
     person.click("#board-cards b:text-is('rpi_pico')")
@@ -91,17 +93,17 @@ def test_empty_board_becomes_a_machine_and_its_file_is_read_back(person: Person)
     text = person.page.input_value("#board-text")
     assert "FLOOD" not in text
     person.click("#send-board")
-    waits(person, "$('file-says').textContent.includes('the machine runs')")
-    waits(person, "grbl.state === 'Idle' && grbl.settled && grbl.offsets.size")
+    wait_until(person, "$('file-says').textContent.includes('the machine runs')")
+    wait_until(person, "grbl.state === 'Idle' && grbl.settled && grbl.offsets.size")
     assert person.page.evaluate("grbl.options") == "V"
 
     person.click("#setup-steps [data-step=connect]")
     person.click("text=Read its board file")
-    waits(person, "setupStep === 'file'")
+    wait_until(person, "setupStep === 'file'")
     assert person.page.input_value("#board-text") == text
 
     # A parenthesis is missing.
     person.page.fill("#board-text", text.replace("STEP = (2, 3, 4)", "STEP = (2, 3, 4"))
     person.click("#send-board")
-    waits(person, "$('file-says').textContent.includes('SyntaxError')")
+    wait_until(person, "$('file-says').textContent.includes('SyntaxError')")
     assert "Line " in person.text("#file-says")

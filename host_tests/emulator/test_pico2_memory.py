@@ -73,13 +73,13 @@ def test_eight_motors_jobs_and_the_page_fit_together(uf2: Path, tmp_path: Path) 
     board.pico.record([*STEP, *DIR])
     odometer = Odometer(board.pico, STEP, DIR)
     board.pico.run_us(2_500_000)  # the client's requests are served
-    board.forget()
+    board.clear_output()
     board.send("?")
     assert "MPos:3.000,0.000,0.000,0.000,0.000,0.000" in board.wait_for(">")  # moved by the page
     board.pico.run_us(3_000_000)  # the page is silent: the cable may take control
     assert free_bytes(board) >= _HEAP_ALL
     board.ask("G90")
-    board.forget()
+    board.clear_output()
     board.send("$F=eight.nc\n")
     board.wait_for("Job EIGHT.NC: done, 29 lines", 60_000_000)
     board.until_idle()

@@ -54,7 +54,7 @@ class Machine:
         self.board.pico.record([*STEP[:motors], *DIR[:motors]])
         self.odometer = Odometer(self.board.pico, STEP[:motors], DIR[:motors])
 
-    def places(self) -> "list[float]":
+    def reported_steps(self) -> "list[float]":
         """Return the reported position of each motor's axis, in steps."""
         mm = dict(zip(self.axes, self.board.status()["MPos"].split(","), strict=True))
         return [round(float(mm[axis]) * _PER_MM, 3) for axis in self.motors]
@@ -69,7 +69,7 @@ def eight(uf2: Path, tmp_path_factory: pytest.TempPathFactory) -> Machine:
     return Machine(uf2, tmp_path_factory.mktemp("boards"), 8)
 
 
-def follows(machine: Machine, lines: int) -> None:
+def check_random_lines(machine: Machine, lines: int) -> None:
     """Check that this number of random lines is executed to the step, and that the position is
     reported."""
     chance = random.Random(len(machine.motors))
@@ -82,16 +82,16 @@ def follows(machine: Machine, lines: int) -> None:
         moved = [steps[axis] for axis in machine.motors]
         due_steps = [at + n for at, n in zip(due_steps, moved, strict=True)]
     board.ask("G4P.01", limit_us=5_000_000)  # answered when motion has ended
-    assert machine.odometer.read() == due_steps == machine.places()
+    assert machine.odometer.read() == due_steps == machine.reported_steps()
 
 
 @pytest.mark.parametrize("motors", [4, 5, 6, 7])
 def test_every_motor_makes_every_step(uf2: Path, tmp_path: Path, motors: int) -> None:
-    follows(Machine(uf2, tmp_path, motors), 12)
+    check_random_lines(Machine(uf2, tmp_path, motors), 12)
 
 
 def test_eight_motors_make_every_step(eight: Machine) -> None:
-    follows(eight, 40)
+    check_random_lines(eight, 40)
 
 
 def test_motors_of_both_pios_step_in_the_same_tick(eight: Machine) -> None:
@@ -99,7 +99,7 @@ def test_motors_of_both_pios_step_in_the_same_tick(eight: Machine) -> None:
     eight.odometer.read()  # clears the edges
     eight.board.ask("G91 G1 X2Y-2Z2A-2B2C-2 F9000")
     eight.board.until_idle()
-    tracks = rises(eight)
+    tracks = step_times_us(eight)
     assert {len(track) for track in tracks} == {2 * _PER_MM}
     for track in tracks[1:]:
         assert max(abs(a - b) for a, b in zip(tracks[0], track, strict=True)) <= _TICK_US
@@ -111,14 +111,14 @@ def test_eight_motors_at_once_make_250_khz(eight: Machine) -> None:
     before = eight.odometer.read()
     eight.board.ask("G91 G1" + "".join(f"{axis}46" for axis in eight.axes) + "F999999")
     eight.board.until_idle()
-    tracks = rises(eight)
+    tracks = step_times_us(eight)
     middle = (tracks[0][0] + tracks[0][-1]) / 2
     for track in tracks:
         gaps = [b - a for a, b in pairwise(track) if abs(a - middle) < 5_000]  # us
         assert 1e3 * len(gaps) / sum(gaps) == pytest.approx(_FASTEST_KHZ, abs=0.1)
     after = eight.odometer.read()
     assert [b - a for a, b in zip(before, after, strict=True)] == [46 * _PER_MM] * 8
-    assert eight.places() == after
+    assert eight.reported_steps() == after
 
 
 @pytest.mark.parametrize("ms", [3, 14.3, 26.1, 37.7])
@@ -128,7 +128,7 @@ def test_reset_stops_all_eight_motors_at_their_reported_position(
     """ms: from the start of motion, back and forth at 1 m/s, to the reset."""
     board = eight.board
     board.ask("G91 G1 F60000")
-    board.forget()
+    board.clear_output()
     for mm in (12, -12, 15):
         board.send("".join(f"{axis}{mm}" for axis in eight.axes) + "\n")
     board.pico.run_us(ms * 1000)
@@ -138,8 +138,8 @@ def test_reset_stops_all_eight_motors_at_their_reported_position(
     board.pico.run_us(20_000)
     assert eight.odometer.read() == stopped_at
     eight.unlock()
-    assert eight.places() == stopped_at
-    follows(eight, 2)
+    assert eight.reported_steps() == stopped_at
+    check_random_lines(eight, 2)
 
 
 @pytest.mark.parametrize("axis", [0, 5])
@@ -154,16 +154,16 @@ def test_limit_switch_stops_all_eight_motors(eight: Machine, axis: int) -> None:
     closed_us = board.pico.us
     board.pico.drive(LIMIT[axis], 0)
     board.wait_for("[MSG:Reset to continue]")
-    assert [us for track in rises(eight) for us in track if us > closed_us + 200] == []
+    assert [us for track in step_times_us(eight) for us in track if us > closed_us + 200] == []
     board.pico.drive(LIMIT[axis], 1)
     board.send("\x18")
     board.wait_for("Grbl 1.1h")
     eight.unlock()
     board.ask("$21=0")
-    assert eight.places() == eight.odometer.read()
+    assert eight.reported_steps() == eight.odometer.read()
 
 
-def rises(machine: Machine) -> "list[list[float]]":
+def step_times_us(machine: Machine) -> "list[list[float]]":
     """Return the times of each motor's steps, in us, since the odometer was read."""
     edges = machine.board.pico.edges
     return [

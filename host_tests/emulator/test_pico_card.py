@@ -44,7 +44,7 @@ def files_on(tmp_path: Path, card: SdCard) -> "dict[str, bytes]":
     return {file.name: file.read_bytes() for file in folder.iterdir()}
 
 
-def wired(uf2: Path, tmp_path: Path, card: SdCard) -> Board:
+def start_with_card(uf2: Path, tmp_path: Path, card: SdCard) -> Board:
     """Start a Pico with a card holder and this card; a byte takes the time of the bus clock."""
     file = tmp_path / "my.py"
     text = BOARD_FILE.read_text()
@@ -62,14 +62,14 @@ def wired(uf2: Path, tmp_path: Path, card: SdCard) -> Board:
         done.schedule(8e9 / bus.clock_frequency)
 
     bus.on_transmit = transmit
-    machine.pico.mcu.gpio[_PINS[-1]].add_listener(selects(card))
+    machine.pico.mcu.gpio[_PINS[-1]].add_listener(chip_select_listener(card))
     machine.boot().settled()
     for setting in _SETTINGS:
         machine.ask(setting)
     return machine
 
 
-def selects(card: SdCard) -> "Callable[[object, object], None]":
+def chip_select_listener(card: SdCard) -> "Callable[[object, object], None]":
     """Return a listener of the chip select pin: low selects the card."""
 
     def on_change(new: object, _old: object) -> None:
@@ -82,25 +82,25 @@ def test_job_runs_from_a_card(uf2: Path, tmp_path: Path) -> None:
     """The list has only G-code files whose names have no space. The job ends at its last target,
     at 100 steps/mm."""
     card = card_with(tmp_path, {"part.nc": _JOB, "a name.nc": b"", "other.txt": b"1"})
-    machine = wired(uf2, tmp_path, card)
-    said = machine.ask("$F")
-    assert f"[FILE:/part.nc|SIZE:{len(_JOB)}]" in said and "other.txt" in said
-    assert "a name" not in said and "Free space: " in said
+    machine = start_with_card(uf2, tmp_path, card)
+    listing = machine.ask("$F")
+    assert f"[FILE:/part.nc|SIZE:{len(_JOB)}]" in listing and "other.txt" in listing
+    assert "a name" not in listing and "Free space: " in listing
     odometer, stack = Odometer(machine.pico), Stack(machine)
-    stack.paint()
-    machine.forget()
+    stack.start_measuring()
+    machine.clear_output()
     machine.send("$F=part.nc\n")
     machine.wait_for(f"Job PART.NC: done, {_LINES + 2} lines", 60_000_000)
     last_line = _TEXT.splitlines()[-1]
     x, y = (float(last_line.partition(axis)[2][:4]) for axis in "XY")  # mm
     assert odometer.read() == [round(100 * x), round(100 * y), 0]
-    assert stack.used() <= SIZE - _RESERVE
+    assert stack.most_used() <= SIZE - _RESERVE
 
 
 def test_removed_card_stops_the_job_and_another_card_runs(uf2: Path, tmp_path: Path) -> None:
     """Removed 300 ms after the start: motion ends and the spindle is off."""
     card = card_with(tmp_path, {"part.nc": _JOB})
-    machine = wired(uf2, tmp_path, card)
+    machine = start_with_card(uf2, tmp_path, card)
     machine.send("$F=part.nc\n")
     machine.wait_for("Job PART.NC: begins")
     machine.pico.run_us(300_000)
@@ -123,12 +123,12 @@ def test_file_sent_over_the_line_is_readable_by_a_computer(uf2: Path, tmp_path: 
     Two of three blocks arrive damaged there: it reads them again.
     """
     card = card_with(tmp_path, {"part.nc": b"G4P0\n"})
-    machine = wired(uf2, tmp_path, card)
+    machine = start_with_card(uf2, tmp_path, card)
     push_us = push(machine, "PART.NC", _JOB)
     rate = len(_JOB) / push_us * 1000
     assert rate >= 15, "kB/s"
     card.damage = lambda block: bytes([block[0] ^ 16]) + block[1:] if card.read % 3 else block
     assert files_on(tmp_path, card) == {"part.nc": _JOB}  # the name keeps its case
-    machine.forget()
+    machine.clear_output()
     machine.send("$C\n$F=PART.NC\n")
     machine.wait_for(f"done, {_LINES + 2} lines", 20_000_000)

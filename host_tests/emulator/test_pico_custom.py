@@ -101,7 +101,7 @@ def machine(uf2: Path) -> Board:
 @pytest.fixture
 def ready(machine: Board) -> "Board":
     """Reset and unlock the machine, whatever its state was."""
-    machine.forget()
+    machine.clear_output()
     machine.send("\x18")
     machine.wait_for("Grbl 1.1h")
     machine.ask("$X")
@@ -128,12 +128,12 @@ def test_words_are_called_with_their_numbers_after_motion_has_ended(ready: Board
 def test_tool_change_is_stored_over_a_power_cut_and_reported(ready: Board, uf2: Path) -> None:
     """The file's tool change moves Z by 0.4 mm, restores the modes and stores the tool's number,
     which a second board with a copy of the flash reports as Tc."""
-    before = [float(mm) for mm in ready.status()["MPos"].split(",")]
+    before_mm = [float(mm) for mm in ready.status()["MPos"].split(",")]
     ready.ask("G90")
     ready.ask("T7 M6")
     ready.until_idle()
-    after = [float(mm) for mm in ready.status()["MPos"].split(",")]
-    assert after[2] - before[2] == pytest.approx(0.4) and "G90" in ready.ask("$G")
+    after_mm = [float(mm) for mm in ready.status()["MPos"].split(",")]
+    assert after_mm[2] - before_mm[2] == pytest.approx(0.4) and "G90" in ready.ask("$G")
     ready.pico.run_us(600_000)  # the number is written to flash
     ready.status()  # the field is computed for the next report
     assert ready.status()["Tc"] == "7"
@@ -148,11 +148,11 @@ def test_tool_change_is_stored_over_a_power_cut_and_reported(ready: Board, uf2: 
 def test_failing_word_loses_no_step_and_names_file_and_line(ready: Board) -> None:
     """M101 moves X by 0.4 mm, 100 steps, and divides by 0: alarm 34, a reset, and a report."""
     odometer = Odometer(ready.pico)
-    before = odometer.read()
+    steps_before = odometer.read()
     said = ready.ask("M101", "Grbl 1.1h")
     message = re.search(r"\[MSG:(M101: custom.py, line \d+, in fails: ZeroDivisionErr.*)\]", said)
     assert message and "ALARM:34" in said
-    assert [b - a for a, b in zip(before, odometer.read())] == [100, 0, 0]
+    assert [b - a for a, b in zip(steps_before, odometer.read())] == [100, 0, 0]
     assert message[1] in ready.ask("$I+")  # the last fault
 
 
@@ -172,7 +172,7 @@ def test_exhausted_memory_or_stack_is_a_failure_like_others(
 
 def test_reset_ends_a_handler_that_swallows_it(ready: Board) -> None:
     """M104 waits for ever, and catches every Exception."""
-    ready.forget()
+    ready.clear_output()
     ready.send("M104\n")
     ready.pico.run_us(200_000)
     ready.send("\x18")
@@ -183,7 +183,7 @@ def test_endless_loop_is_stopped_ended_by_a_reset_and_reported(ready: Board) -> 
     """M102 loops for ever. After some 0.3 s the main loop counts as blocked, and the spindle is
     switched off; the first reset ends the loop, the second one the alarm."""
     ready.ask("M3 S500")
-    ready.forget()
+    ready.clear_output()
     ready.send("M102\n")
     ready.pico.run_us(400_000)
     ready.pico.edges.clear()  # the spindle's PWM would make edges
@@ -191,7 +191,7 @@ def test_endless_loop_is_stopped_ended_by_a_reset_and_reported(ready: Board) -> 
     ready.wait_for("ALARM:16")
     ready.wait_for("in loops")
     assert not ready.pico.edges, "the spindle was off long before"
-    ready.forget()
+    ready.clear_output()
     ready.send("\x18")
     ready.wait_for("Grbl 1.1h")
 
@@ -201,22 +201,22 @@ def test_failure_during_streamed_arcs_stops_smoothly_and_loses_no_step(
 ) -> None:
     """A handler that runs every 5 ms fails when Z is above 0.3 mm: the machine decelerates, and
     reports the position that follows from the steps."""
-    beside = b"""
+    failing_code = b"""
 @every(5)
-def beside(m):
+def fails_above(m):
     if m.position().z > 0.3:
         return [1][1]
 """
-    machine = Board(uf2, {"custom.py": CUSTOM + beside}).boot().settled()
+    machine = Board(uf2, {"custom.py": CUSTOM + failing_code}).boot().settled()
     machine.pico.record([*STEP, *DIR])
     for line in ("$0=3", "$120=4000", "$121=4000", "$122=4000", "$110=3000", "$111=3000"):
         machine.ask(line)
     odometer = Odometer(machine.pico)
     machine.ask("G91")
-    machine.forget()
+    machine.clear_output()
     machine.send("G2X1Y0I0.5J0Z0.2F3000\nG3X-1Y0I-0.5J0Z0.2\n" * 2)
     said = machine.wait_for("Grbl 1.1h", 5_000_000)
-    assert re.search(r"\[MSG:every 5: custom.py, line \d+, in beside: IndexErr", said)
+    assert re.search(r"\[MSG:every 5: custom.py, line \d+, in fails_above: IndexErr", said)
     assert "ALARM:34" in said and "ALARM:16" not in said
     steps = odometer.read()
     assert 0.3 * 250 < steps[2] < 0.6 * 250  # 250 steps/mm
@@ -264,7 +264,7 @@ def share(m, P):
     lengths_ns = [down - up for up, down in zip(ups, downs[downs[0] < ups[0] :])]
     # A quarter of 200 us.
     assert lengths_ns == pytest.approx([50_000] * len(lengths_ns), abs=100)
-    machine.forget()
+    machine.clear_output()
     machine.send("\x18")
     machine.wait_for("Grbl 1.1h")
     machine.pico.edges.clear()
@@ -291,7 +291,7 @@ def told(m):
 """
 
 
-def streamed(uf2: Path, words: "bytes | None") -> "tuple[Talk, float]":
+def start_and_measure(uf2: Path, words: "bytes | None") -> "tuple[Talk, float]":
     """Start a board with this custom.py; return it and its highest rate of short moves, 1/s."""
     talk = Talk(EmulatedWire(Board(uf2, {"custom.py": words}).boot().settled()))
     set_up(talk)
@@ -307,16 +307,16 @@ def streamed(uf2: Path, words: "bytes | None") -> "tuple[Talk, float]":
 def test_unused_word_costs_little_and_a_timer_its_own_time(uf2: Path) -> None:
     """Measured by the highest rate of streamed lines: without a custom.py, with a word, and with a
     function that is called every 50 ms and takes 1 ms."""
-    _, plain_lines_s = streamed(uf2, None)
-    _, word_lines_s = streamed(uf2, _WORD)
+    _, plain_lines_s = start_and_measure(uf2, None)
+    _, word_lines_s = start_and_measure(uf2, _WORD)
     assert word_lines_s > 0.98 * plain_lines_s
-    talk, timer_lines_s = streamed(uf2, _TIMER)
+    talk, timer_lines_s = start_and_measure(uf2, _TIMER)
     assert timer_lines_s > 0.9 * word_lines_s  # 20 calls a second of 1 ms, and the overhead
-    before = calls(talk)
+    before = timer_calls(talk)
     stream(talk, list(short_moves(800)), blocks=63)
     ms = 800 / timer_lines_s * 1000
-    assert calls(talk) - before >= 0.8 * ms / 50, "the timer runs during an endless stream"
+    assert timer_calls(talk) - before >= 0.8 * ms / 50, "the timer runs during an endless stream"
 
 
-def calls(talk: Talk) -> int:
+def timer_calls(talk: Talk) -> int:
     return int(talk.ask("M100").partition("MSG:")[2].split()[0])

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 from emulated import Board, Odometer, files_of
 from pico import Pico
-from test_pico_stack import RESERVE, SIZE, Stack
-from test_pico_talk import MAIN, free
+from test_pico_stack import RESERVE_BYTES, STACK_BYTES, Stack
+from test_pico_talk import MAIN, free_heap_bytes
 from ugrbl.boardfile.files import load_board
 from ugrbl.sim import tmc2209 as model
 
@@ -22,7 +22,7 @@ _SETTINGS = (
     *("$22=1", "$23=0", "$24=300", "$25=1200", "$26=5", "$27=0.5", "$5=1"),
     *("$200=90", "$201=90", "$220=70", "$221=70", "$339=3"),
 )
-_HEAP = 58_000
+_HEAP_BYTES = 58_000
 
 
 class Wire:
@@ -52,11 +52,11 @@ class Wire:
             sent = len(self._sent)
             received = self.bus.exchange(bytes(self._sent))
             self._sent.clear()
-            self._bring(received[:sent], 10 * sent)
+            self._deliver(received[:sent], 10 * sent)
             if received[sent:]:
-                self._bring(received[sent:], 10 * len(received) + _DELAY_BITS)
+                self._deliver(received[sent:], 10 * len(received) + _DELAY_BITS)
 
-    def _bring(self, data: bytes, bits: float) -> None:
+    def _deliver(self, data: bytes, bits: float) -> None:
         """Let the chip receive data after the time of so many bits; a byte has 10."""
 
         def arrive() -> None:
@@ -97,14 +97,14 @@ def test_drivers_are_set_up_when_the_board_starts(machine: Machine) -> None:
 
 
 def test_report_has_the_values_of_the_models(machine: Machine) -> None:
-    told = machine.board.ask("$TMC")
-    assert told.count("|version:33|microsteps:16|mode:stealthChop|") == 3
+    report = machine.board.ask("$TMC")
+    assert report.count("|version:33|microsteps:16|mode:stealthChop|") == 3
 
 
 def test_steps_are_made_within_the_stack(machine: Machine) -> None:
     """While drivers are polled, and after a change of a current ($140), which is sent to one."""
     stack = Stack(machine.board)
-    stack.paint()  # shows later how deep the stack was
+    stack.start_measuring()  # shows later how deep the stack was
     machine.odometer.read()
     machine.board.ask("$X")
     machine.board.ask("G91 G1 X1 Y-2 Z.5 F3000")
@@ -112,13 +112,13 @@ def test_steps_are_made_within_the_stack(machine: Machine) -> None:
     machine.board.ask("$140=600")
     machine.board.pico.run_us(500_000)
     assert machine.odometer.read() == [80, -160, 200]  # 80, 80 and 400 steps/mm
-    assert stack.used() <= SIZE - RESERVE
+    assert stack.most_used() <= STACK_BYTES - RESERVE_BYTES
 
 
 def test_silent_driver_is_an_alarm(machine: Machine) -> None:
     """Y's driver has no supply. When it answers again the machine can be unlocked."""
     board = machine.board
-    board.forget()
+    board.clear_output()
     machine.drivers()[1].has_supply = False  # it does not answer
     board.wait_for("[MSG:Motor driver Y: no answer")
     board.wait_for("ALARM:35")
@@ -134,7 +134,7 @@ def test_status_report_is_sent_in_time_while_drivers_are_polled(machine: Machine
     pico = machine.board.pico
     waits_us = []
     for _ in range(60):
-        machine.board.forget()
+        machine.board.clear_output()
         asked_us = pico.us
         machine.board.send("?")
         machine.board.wait_for(">")
@@ -144,4 +144,4 @@ def test_status_report_is_sent_in_time_while_drivers_are_polled(machine: Machine
 
 
 def test_heap_is_free(machine: Machine) -> None:
-    assert free(machine.board) >= _HEAP
+    assert free_heap_bytes(machine.board) >= _HEAP_BYTES

@@ -1,6 +1,6 @@
 """Test faults on the emulated Pico: one line reports the fault, and motors and tool are off.
 
-ask() sends a line and returns its answer, forget() clears the board's output, said. Inputs are
+ask() sends a line and returns its answer, clear_output() forgets the output so far. Inputs are
 closed at level 0. Steps are found in the edges recorded at the pins.
 """
 
@@ -76,7 +76,7 @@ def machine(uf2: Path) -> Board:
     return made
 
 
-def still(machine: Board) -> None:
+def assert_no_pulses(machine: Board) -> None:
     """Check that steps and spindle pulses have ended."""
     machine.pico.run_us(5_000)
     machine.pico.edges.clear()
@@ -90,15 +90,15 @@ def test_firmware_fault_is_an_alarm_and_a_reset_recovers(machine: Board) -> None
     machine.ask("G91 G1 X20 F500")
     machine.pico.run_us(200_000)
     assert steps(machine.pico.edges, 0)
-    machine.forget()
+    machine.clear_output()
     machine.send("$FAULT\n")
     machine.wait_for("ALARM:16\r\n[MSG:IndexErr: list index out of range")
-    still(machine)
+    assert_no_pulses(machine)
     assert machine.status()["state"] == "Alarm"
-    machine.forget()
+    machine.clear_output()
     machine.send("G0 X1\n")  # only a reset is accepted
     machine.pico.run_us(50_000)
-    assert machine.said == ""
+    assert machine.output == ""
     machine.send("$")  # the fault is reported again on request
     machine.wait_for(f"({build_id()})]\r\n")
     machine.send("\x18")
@@ -111,18 +111,18 @@ def test_firmware_fault_is_an_alarm_and_a_reset_recovers(machine: Board) -> None
 def test_exception_in_the_engines_interrupt_is_an_alarm_and_the_engine_recovers(
     machine: Board,
 ) -> None:
-    """$TURN, a command added by the fixture, lets the next call for a segment raise."""
+    """$TURN, a command added by the fixture, makes the next call for a segment raise."""
     machine.ask("$X")
     machine.ask("M3 S500")
     machine.ask("G91 G1 X20 F500")
     machine.pico.run_us(200_000)
     assert steps(machine.pico.edges, 0)
-    machine.forget()
+    machine.clear_output()
     machine.send("$TURN\n")
     machine.wait_for("the pulse engine's interrupt has failed")
-    assert "ALARM:16" in machine.said and "Uncaught" not in machine.said
-    still(machine)
-    machine.forget()
+    assert "ALARM:16" in machine.output and "Uncaught" not in machine.output
+    assert_no_pulses(machine)
+    machine.clear_output()
     machine.send("\x18")
     machine.wait_for("Grbl 1.1h")
     machine.ask("$X")
@@ -139,32 +139,32 @@ def test_ctrl_x_stops_motion_while_the_main_loop_is_busy(machine: Board) -> None
     machine.send("$BUSY\n")
     machine.pico.run_us(50_000)
     sent_us = machine.pico.us
-    machine.forget()
+    machine.clear_output()
     machine.send("\x18")
     machine.pico.run_us(20_000)
-    machine.pico.run_until(lambda: "Grbl 1.1h" in machine.said, 1_000_000)
-    assert "ALARM:3" in machine.said
+    machine.pico.run_until(lambda: "Grbl 1.1h" in machine.output, 1_000_000)
+    assert "ALARM:3" in machine.output
     last_step_us = steps(machine.pico.edges, 0)[-1][0]
     assert last_step_us - sent_us <= 10_000
     machine.pico.run_us(50_000)
-    assert machine.said.count("Grbl") == 1
+    assert machine.output.count("Grbl") == 1
 
 
 def test_hanging_main_loop_restarts_the_chip(machine: Board) -> None:
     """$HANG, a command added by the fixture, never ends; the watchdog is set to 1.5 s."""
     machine.ask("$X")
     machine.ask("M3 S500")
-    machine.forget()
+    machine.clear_output()
     machine.send("$HANG\n")
     machine.wait_for("Grbl 1.1h", 8_000_000)
-    still(machine)
+    assert_no_pulses(machine)
 
 
 _GOOD = "ENGINE = 'pio'\nSTEP = (2, 3, 4)\nDIR = (5, 6, 7)\n"
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "cause"),
     [
         ({"motion/planner.mpy": None}, "no module named 'motion.planner'"),
         ({"board.py": _GOOD.replace("7", "2").encode()}, "DIR: pin 2 is STEP already"),
@@ -177,42 +177,43 @@ _GOOD = "ENGINE = 'pio'\nSTEP = (2, 3, 4)\nDIR = (5, 6, 7)\n"
     ],
 )
 def test_machine_that_cannot_be_built_reports_the_cause_on_request(
-    uf2: Path, changes: "dict[str, bytes | None]", said: str
+    uf2: Path, changes: "dict[str, bytes | None]", cause: str
 ) -> None:
-    """changes: files to replace, or to leave out (None); said: the cause. No step is made, and the
+    """changes: files to replace, or to leave out (None). No step is made, and the
     prompt is available."""
     machine = Board(uf2, changes)
     machine.pico.record([*STEP])
     machine.wait_for("]\r\n")
-    machine.forget()
+    machine.clear_output()
     machine.send("?")
     answer = machine.wait_for("]\r\n")
     # "ok" and "error" would be taken for answers to lines.
-    assert said in answer and "ok" not in answer and "rror" not in answer
+    assert cause in answer and "ok" not in answer and "rror" not in answer
     assert not machine.pico.edges
     assert machine.python("print(2 + 2)", "") == "4\r\n"
 
 
 @pytest.mark.parametrize(
-    ("board", "said"), [(None, "no module named 'board'"), (b"STEP = (2, 3, 4\n", "SyntaxErr")]
+    ("board_file", "cause"),
+    [(None, "no module named 'board'"), (b"STEP = (2, 3, 4\n", "SyntaxErr")],
 )
 def test_missing_board_file_is_reported_and_leads_to_the_prompt(
-    uf2: Path, board: "bytes | None", said: str
+    uf2: Path, board_file: "bytes | None", cause: str
 ) -> None:
-    """board: content of board.py, None: no such file."""
-    machine = Board(uf2, {"board.py": board})
-    assert said in machine.wait_for(">>> ")
-    machine.forget()
+    """board_file: content of board.py, None: no such file."""
+    machine = Board(uf2, {"board.py": board_file})
+    assert cause in machine.wait_for(">>> ")
+    machine.clear_output()
     machine.send("print(2 + 2)\r")
     machine.wait_for("4\r\n")
 
 
 def test_damaged_settings_file_is_reported_and_factory_settings_apply(uf2: Path) -> None:
     machine = Board(uf2, {"saved/settings.txt": b"0=3\n110=99999\n#crc32=00000000\n"}).boot()
-    assert "error:7" in machine.said and "$110=500.000" in machine.said
+    assert "error:7" in machine.output and "$110=500.000" in machine.output
 
 
-def fillers() -> "dict[str, bytes]":
+def files_that_fill_flash() -> "dict[str, bytes]":
     """Return files that leave no space: one takes all blocks, the others fill the folder."""
     files: dict[str, bytes] = {}
     for name, size in (("filler", BLOCK), ("0" * 240, 0), ("0" * 30, 0), ("0", 0)):
@@ -237,11 +238,11 @@ def _parts(name: str, size: int, count: int) -> "dict[str, bytes]":
 
 def test_full_flash_is_reported_and_a_setting_holds_until_power_off(uf2: Path) -> None:
     """The setting is used but cannot be stored: error 7. The machine moves: 250 steps/mm."""
-    machine = Board(uf2, fillers()).boot()
+    machine = Board(uf2, files_that_fill_flash()).boot()
     assert machine.status()["state"] == "Idle"
     said = machine.ask("$110=600", "error:")
     machine.pico.run_us(20_000)
-    assert machine.said.startswith("[MSG:") and machine.said.endswith("error:7\r\n"), said
+    assert machine.output.startswith("[MSG:") and machine.output.endswith("error:7\r\n"), said
     assert "$110=600.000" in machine.ask("$$")
     machine.pico.record([*STEP])
     machine.ask("G91 G1 X1 F600")

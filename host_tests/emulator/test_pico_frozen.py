@@ -55,14 +55,14 @@ def frozen_uf2() -> Path:
     return Path(named)
 
 
-def where(board: Board) -> str:
+def reported_build(board: Board) -> str:
     """Return the build that the firmware reports."""
     return board.ask("$I+").partition("[MSG:Build: ")[2].partition("]")[0]
 
 
 def test_firmware_starts_with_the_board_file_alone_and_moves(frozen_uf2: Path) -> None:
     board = Board(frozen_uf2).boot().settled()
-    assert where(board).endswith(", frozen")
+    assert reported_build(board).endswith(", frozen")
     board.pico.record([2, 5])  # STEP and DIR of X
     board.ask("$120=1000")
     for k in range(20):
@@ -113,7 +113,7 @@ def test_stored_data_survives_an_update(frozen_uf2: Path, tmp_path: Path) -> Non
     new = Board(frozen_uf2)
     new.pico.write_flash(0, flash)
     new.boot()
-    assert "First start" not in new.said
+    assert "First start" not in new.output
     assert "$110=4321" in new.ask("$$") and "[G54:7.000," in new.ask("$#")
     assert "[MSG:hello]" in new.ask("M100")
 
@@ -134,11 +134,11 @@ def test_deployment_removes_firmware_files_from_the_file_system(
 
 
 @pytest.mark.parametrize(
-    ("left", "is_frozen"), [(firmware(), False), ({"motion/planner.mpy": b"half"}, True)]
+    ("files", "is_frozen"), [(firmware(), False), ({"motion/planner.mpy": b"half"}, True)]
 )
 def test_files_run_instead_of_frozen_firmware_after_a_complete_deployment(
-    frozen_uf2: Path, left: "Mapping[str, bytes]", is_frozen: bool
+    frozen_uf2: Path, files: "Mapping[str, bytes]", is_frozen: bool
 ) -> None:
-    """left: the files on the board, all or, as after an interrupted deployment, one in part."""
-    board = Board(frozen_uf2, left).boot().settled()
-    assert where(board).endswith(", frozen") == is_frozen
+    """files: those on the board, all or, as after an interrupted deployment, one in part."""
+    board = Board(frozen_uf2, files).boot().settled()
+    assert reported_build(board).endswith(", frozen") == is_frozen

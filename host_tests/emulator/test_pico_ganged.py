@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 from chips import Edge
 from emulated import Board, Odometer, files_of
-from test_pico_stack import RESERVE, SIZE, Stack
-from test_pico_talk import MAIN, free
+from test_pico_stack import RESERVE_BYTES, STACK_BYTES, Stack
+from test_pico_talk import MAIN, free_heap_bytes
 from ugrbl.boardfile.files import load_board
 
 pytestmark = pytest.mark.xdist_group("pico ganged")
@@ -21,9 +21,9 @@ _SETTINGS = (
     *("$22=1", "$23=0", "$24=100", "$25=1200", "$26=5", "$27=0.5", "$171=0.3"),
 )
 # Steps from the start to each switch; the second motor of Y has its switch later.
-_AT = (100, 100, 100, 160)
-_OFFSET = 30  # $171, in steps
-_HEAP = 68_000
+_SWITCH_STEPS = (100, 100, 100, 160)
+_OFFSET_STEPS = 30  # $171, in steps
+_HEAP_BYTES = 68_000
 _TICK_NS = 80
 
 
@@ -41,16 +41,18 @@ class Gantry:
         self.edges: list[Edge] = []  # of all pins, since a test has cleared it
         for setting in _SETTINGS:
             assert self.machine.ask(setting).endswith("ok\r\n"), setting
-        self._follow()
+        self._update_switches()
 
-    def _follow(self) -> None:
+    def _update_switches(self) -> None:
         """Set the switches for the motors' positions, every millisecond from now on."""
         self.edges += self.machine.pico.edges
-        for pin, steps, closes_at in zip(_BOARD.LIMIT, self.odometer.read(), _AT, strict=True):
+        for pin, steps, closes_at in zip(
+            _BOARD.LIMIT, self.odometer.read(), _SWITCH_STEPS, strict=True
+        ):
             self.machine.pico.drive(pin, 0 if steps >= closes_at else 1)
-        self.machine.pico.at_us(1_000, self._follow)
+        self.machine.pico.at_us(1_000, self._update_switches)
 
-    def assert_alive(self) -> None:
+    def assert_all_motors_step(self) -> None:
         """Check that every motor makes every commanded step."""
         machine = self.machine
         machine.pico.run_us(2_000)
@@ -73,26 +75,26 @@ def test_axis_is_squared_at_its_two_switches(gantry: Gantry) -> None:
     by the pull-off of 0.5 mm ($27), 50 steps. The stack suffices."""
     machine = gantry.machine
     stack = Stack(machine)
-    stack.paint()
+    stack.start_measuring()
     machine.ask("$H", limit_us=20_000_000)
-    assert stack.used() <= SIZE - RESERVE
-    _, y, _, y2 = gantry.odometer.read()
-    assert abs(y - (_AT[1] - 50)) <= 1
-    assert abs(y2 - y - (_AT[3] - _AT[1] - _OFFSET)) <= 1
+    assert stack.most_used() <= STACK_BYTES - RESERVE_BYTES
+    _, y_steps, _, y2_steps = gantry.odometer.read()
+    assert abs(y_steps - (_SWITCH_STEPS[1] - 50)) <= 1
+    assert abs(y2_steps - y_steps - (_SWITCH_STEPS[3] - _SWITCH_STEPS[1] - _OFFSET_STEPS)) <= 1
     assert machine.status()["MPos"] == "-0.500,-0.500,-0.500"
-    gantry.assert_alive()
+    gantry.assert_all_motors_step()
 
 
 def test_both_motors_of_an_axis_step_at_the_same_time(gantry: Gantry) -> None:
-    """Motors 1 and 3 are of Y, which assert_alive() moves by 150 steps."""
+    """Motors 1 and 3 are of Y, which assert_all_motors_step() moves by 150 steps."""
     gantry.edges.clear()
-    gantry.assert_alive()
-    y, y2 = (
+    gantry.assert_all_motors_step()
+    y_ns, y2_ns = (
         [edge.ns for edge in gantry.edges if edge.pin == _BOARD.STEP[motor] and edge.level]
         for motor in (1, 3)
     )
-    assert len(y) == len(y2) == 150
-    assert max(abs(a - b) for a, b in zip(y, y2, strict=True)) <= _TICK_NS
+    assert len(y_ns) == len(y2_ns) == 150
+    assert max(abs(a - b) for a, b in zip(y_ns, y2_ns, strict=True)) <= _TICK_NS
 
 
 @pytest.mark.parametrize("ms", [150, 420, 700])
@@ -102,15 +104,15 @@ def test_all_motors_work_after_a_reset_during_homing(gantry: Gantry, ms: int) ->
     ms: from the command to the reset.
     """
     machine = gantry.machine
-    machine.forget()
+    machine.clear_output()
     machine.send("$H\n")
     machine.pico.run_us(ms * 1000)
     machine.send("\x18")
     machine.wait_for("ALARM:6")
     machine.wait_for("Grbl 1.1h")
     machine.ask("$X")
-    gantry.assert_alive()
+    gantry.assert_all_motors_step()
 
 
 def test_heap_is_free(gantry: Gantry) -> None:
-    assert free(gantry.machine) >= _HEAP
+    assert free_heap_bytes(gantry.machine) >= _HEAP_BYTES

@@ -75,14 +75,14 @@ class Run:
         self.pico.record([*STEP, *DIRECTION, CAMERA])
         self.pico.drive(SWITCH, 1)
         self._seen, self._sign, self._y = 0, 1, 0  # edges evaluated; y's direction and steps
-        assert self.pico.run_until(self._done, _LIMIT_US, 1000), self.text
+        assert self.pico.run_until(self._update_switch, _LIMIT_US, 1000), self.text
         self.pico.run_us(100_000)
 
     @property
     def text(self) -> str:
         return bytes(self.pico.usb.received).decode()
 
-    def _done(self) -> bool:
+    def _update_switch(self) -> bool:
         """Close the switch while y is half a unit below 0 or lower; return whether the program has
         ended."""
         for edge in self.pico.edges[self._seen :]:
@@ -94,7 +94,7 @@ class Run:
         self.pico.drive(SWITCH, 0 if self._y <= _CLOSED_AT else 1)
         return "END" in self.text or "Error" in self.text
 
-    def said(self, word: str) -> "list[str]":
+    def values_of(self, word: str) -> "list[str]":
         """Return the words after the first one, which is that one, in its line of the output."""
         lines = [line.split() for line in self.text.splitlines()]
         rests = [line[1:] for line in lines if line[:1] == [word]]
@@ -121,19 +121,22 @@ def run(uf2: Path) -> Run:
 
 
 def test_the_program_counts_the_steps_that_the_pins_make(run: Run) -> None:
-    assert run.said("PLAIN") == ["0", "80"]
-    assert int(run.said("END")[0]) == run.steps(0)
+    """PLAIN is printed with x at 0 and y at 1 unit of 80 steps, END with x's count at the end."""
+    assert run.values_of("PLAIN") == ["0", "80"]
+    assert int(run.values_of("END")[0]) == run.steps(0)
 
 
 def test_moves_and_waits_of_tasks_are_those_of_the_simulator(run: Run) -> None:
-    assert 160 <= int(run.said("FIRST")[0]) <= 161
-    steps, at_target = run.said("STOPPED")
+    """FIRST is printed when a move of x to 2 units has ended, STOPPED after a stop on its way to
+    50; a unit has 80 steps."""
+    assert 160 <= int(run.values_of("FIRST")[0]) <= 161
+    steps, at_target = run.values_of("STOPPED")
     assert at_target == "True" and 160 < int(steps) < 50 * 80
 
 
 def test_the_switch_is_found_to_the_step(run: Run) -> None:
     """Homing sets position 1 at the switch, and backs off by 0.25: 1.25 units, of 80 steps."""
-    position, steps = run.said("HOMED")
+    position, steps = run.values_of("HOMED")
     assert abs(float(position) - 1.25) <= 1 / 80 and int(steps) == round(float(position) * 80)
     # At the pins: y closed it half a unit below 0, and went back a quarter of a unit.
     assert abs(run.steps(1) - (-40 + 20)) <= 2
@@ -146,7 +149,7 @@ def test_the_output_changes_with_its_moves(run: Run) -> None:
     assert [level for _, level in changes[:5]] == [1, 0, 1, 0, 1]
     x_pulses = run.pulses(0)
     steps = [sum(sign for ns, sign in x_pulses if ns < change) for change, _ in changes[:5]]
-    # The interrupt sets it some microseconds after the move's begin; a step takes 600 us there.
+    # The interrupt sets it some microseconds after a move begins; a step takes 600 us there.
     assert steps == [0, 40, 80, 120, 160]
 
 
@@ -165,8 +168,8 @@ def test_the_rate_is_exact_in_single_precision(run: Run) -> None:
 
 def test_memory_and_speed(run: Run) -> None:
     """Free bytes and us of a move; docs have the figures that are printed."""
-    before, imported, made = map(int, run.said("FREE"))
+    before, imported, made = map(int, run.values_of("FREE"))
     print(f"free: {before}, {imported} with the package, {made} with a group of two axes")
-    print(f"a move takes {run.said('MOVES')[0]} us")
+    print(f"a move takes {run.values_of('MOVES')[0]} us")
     assert before - imported < 45_000 and imported - made < 20_000
-    assert int(run.said("MOVES")[0]) < 2500
+    assert int(run.values_of("MOVES")[0]) < 2500

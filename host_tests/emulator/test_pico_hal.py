@@ -10,7 +10,7 @@ pytestmark = pytest.mark.xdist_group("pico hal")
 
 _FREE = "import gc;gc.collect();print(gc.mem_free())"
 # Measured: 97.0 kB free, before and after texts are read; with Grbl's dialect 112.7.
-_HEAP = 66_000
+_HEAP_BYTES = 66_000
 
 
 def test_texts_are_read_from_flash_and_stay_there(uf2: Path, tmp_path: Path) -> None:
@@ -30,4 +30,4 @@ def test_texts_are_read_from_flash_and_stay_there(uf2: Path, tmp_path: Path) -> 
     assert "[ALARMCODE:1||" in machine.ask("$EA", limit_us=5_000_000)
     machine.send("\x87")
     machine.wait_for("|FW:grblHAL>")
-    assert int(machine.python(_FREE)) > _HEAP
+    assert int(machine.python(_FREE)) > _HEAP_BYTES

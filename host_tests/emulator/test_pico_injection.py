@@ -20,7 +20,7 @@ from pathlib import Path
 
 import pytest
 from emulated import DIR, SPINDLE_PWM, STEP, Board, Odometer, altered
-from futures import HAVE_FORK, futures, told
+from futures import HAVE_FORK, futures, results_of
 from injection import ACTS, SETTINGS, SILENCE, TRIALS_PER_LIFE, Life, Outcome, Trial
 
 pytestmark = pytest.mark.xdist_group("pico injection")
@@ -69,7 +69,7 @@ def _trials(life: int) -> "list[Trial]":
 
 
 def _play_forked(
-    life: Life, trials: "list[Trial]", seeds: "Collection[int]", tell: "Callable[[Outcome], None]"
+    life: Life, trials: "list[Trial]", seeds: "Collection[int]", send: "Callable[[Outcome], None]"
 ) -> None:
     """Stream past the instants of all trials, and run each trial with one of the seeds in a forked
     process. tell() passes its outcome to the parent."""
@@ -78,10 +78,10 @@ def _play_forked(
         for trial in trials:
             life.run_to(trial.at_us)
             if trial.seed in seeds:
-                play(lambda trial=trial: tell(trial.outcome(life)))
+                play(lambda trial=trial: send(trial.outcome(life)))
 
 
-def _play_in_turn(life: Life, trial: Trial) -> Outcome:
+def _play_alone(life: Life, trial: Trial) -> Outcome:
     """Run one trial in this process."""
     life.start()
     life.run_to(trial.at_us)
@@ -99,9 +99,9 @@ def _outcomes(
     make_life() returns a machine that can be streamed to.
     """
     if not HAVE_FORK:
-        return [_play_in_turn(make_life(), trial) for trial in trials if trial.seed in seeds]
-    # told() returns all that was passed to tell(), and whether the processes have ended well.
-    fields, ended = told(lambda tell: _play_forked(make_life(), trials, seeds, tell))
+        return [_play_alone(make_life(), trial) for trial in trials if trial.seed in seeds]
+    # results_of() returns all that was passed to send(), and whether the processes ended well.
+    fields, ended = results_of(lambda send: _play_forked(make_life(), trials, seeds, send))
     outcomes = [Outcome(*each) for each in fields]
     missing = set(seeds) - {outcome.seed for outcome in outcomes}
     assert ended and not missing, f"no result of the trials {sorted(missing)}"

@@ -5,7 +5,7 @@ from pathlib import Path
 import emulated
 import pytest
 from emulated import BOARD_FILE, STEP, Board, steps
-from test_pico_motion import PROGRAM, SETTINGS, moved
+from test_pico_motion import PROGRAM, SETTINGS, run_lines
 from ugrbl.compiling import build
 
 pytestmark = pytest.mark.xdist_group("pico jerk")
@@ -38,7 +38,7 @@ def test_steps_are_those_planned(machine: Board, board_file: Path) -> None:
     The simulator's segments are shorter by a twentieth, and its filter averages the same number of
     them. So each stop is shorter by that part, too.
     """
-    made = moved(machine, [*PROGRAM, "G4P.01"])  # waits for the end of motion
+    made = run_lines(machine, [*PROGRAM, "G4P.01"])  # waits for the end of motion
     planned = emulated.planned(PROGRAM, _LIMITS, str(board_file))
     for real, due in zip(made, planned, strict=True):
         assert [sign for _, sign in real] == [sign for _, sign in due]
@@ -54,7 +54,7 @@ def test_move_starts_within_the_limit_of_jerk(machine: Board) -> None:
 
     So the distance is at most jerk * time**3 / 6, plus 10 %.
     """
-    (track, _, _) = moved(machine, ["G91 G0 X20", "G4P.01"])
+    (track, _, _) = run_lines(machine, ["G91 G0 X20", "G4P.01"])
     start = track[0][0]
     for number, (us, _) in enumerate(track[:60]):
         if us - start < 45_000:
@@ -65,7 +65,7 @@ def test_move_starts_within_the_limit_of_jerk(machine: Board) -> None:
 def test_position_matches_the_steps_after_a_hold_and_a_reset(machine: Board) -> None:
     """Held in the middle of a move, then reset: nothing is lost, because the motors stand."""
     machine.until_idle()
-    before = [float(x) for x in machine.status()["MPos"].split(",")]
+    before_mm = [float(x) for x in machine.status()["MPos"].split(",")]
     machine.pico.edges.clear()
     machine.ask("G91 G1 X20 Y3 F3000")
     machine.pico.run_us(150_000)
@@ -75,7 +75,9 @@ def test_position_matches_the_steps_after_a_hold_and_a_reset(machine: Board) -> 
     machine.send(b"\x18")
     machine.pico.run_us(200_000)
     step_sums = [sum(sign for _, sign in steps(machine.pico.edges, axis)) for axis in range(3)]
-    after = [float(x) for x in machine.status()["MPos"].split(",")]
+    after_mm = [float(x) for x in machine.status()["MPos"].split(",")]
     assert step_sums[0] > 100
     for axis, per_mm in enumerate((80, 80, 400)):
-        assert after[axis] - before[axis] == pytest.approx(step_sums[axis] / per_mm, abs=0.002)
+        assert after_mm[axis] - before_mm[axis] == pytest.approx(
+            step_sums[axis] / per_mm, abs=0.002
+        )

@@ -41,7 +41,7 @@ def push(machine: Board, name: str, data: bytes) -> float:
 
     $FU announces name, size and checksum; the board asks for each piece by its offset.
     """
-    machine.forget()
+    machine.clear_output()
     begun_us = machine.pico.us
     machine.send(f"$FU={name},{len(data)},{zlib.crc32(data):x}\n")
     for offset in range(0, len(data), _PIECE):
@@ -55,23 +55,23 @@ def home(machine: Board) -> Odometer:
     """Home to switches 2 mm (200 steps) above the current position; return the odometer, whose
     origin that position is."""
     odometer = Odometer(machine.pico)
-    is_done: list[bool] = []  # not empty: homing has ended
+    has_homed: list[bool] = []  # not empty: homing has ended
 
-    def follow() -> None:
+    def update_switches() -> None:
         """Set the switches for the motors' positions, every 2 ms until homing has ended."""
         for axis, steps in enumerate(odometer.read()):
             machine.pico.drive(LIMIT[axis], 0 if steps >= 200 else 1)
-        if not is_done:
-            machine.pico.at_us(2_000, follow)
+        if not has_homed:
+            machine.pico.at_us(2_000, update_switches)
 
-    follow()
+    update_switches()
     machine.ask("$H", limit_us=20_000_000)
-    is_done.append(True)
+    has_homed.append(True)
     machine.pico.run_us(3_000)
     return odometer
 
 
-def made(
+def dragged_flash(
     tmp_path: Path, uf2: Path, options: str = "", lines: "tuple[str, ...]" = _SETTINGS
 ) -> bytes:
     """Return flash with the file of `ugrbl uf2` for a board with jobs, dragged onto other data.
@@ -89,7 +89,7 @@ def made(
     return bytes(flash)
 
 
-def powered(uf2: Path, flash: bytes) -> Board:
+def start_with_flash(uf2: Path, flash: bytes) -> Board:
     """Start a Pico with this flash, and wait for its welcome."""
     machine = Board(uf2)
     machine.pico.write_flash(0, flash)
@@ -101,12 +101,12 @@ def test_dragged_file_becomes_a_machine_whose_job_resumes_after_a_power_cut(
     uf2: Path, tmp_path: Path
 ) -> None:
     """After the power cut a second Pico starts with the first one's flash; $F=@ resumes."""
-    machine = powered(uf2, made(tmp_path, uf2))
+    machine = start_with_flash(uf2, dragged_flash(tmp_path, uf2))
     data = "".join(f"{line}\n" for line in _JOB).encode()
     machine.ask("$X")
     push(machine, "STAIRS.NC", data)
     home(machine)
-    machine.forget()
+    machine.clear_output()
     machine.send("$F=stairs.nc\n")
     machine.wait_for("Job STAIRS.NC: begins")
     machine.pico.run_us(600_000)
@@ -117,30 +117,30 @@ def test_dragged_file_becomes_a_machine_whose_job_resumes_after_a_power_cut(
     machine.pico.run_us(600_000)
     flash = machine.pico.read_flash(0, CHIP.flash)
 
-    machine = powered(uf2, flash)
+    machine = start_with_flash(uf2, flash)
     message = machine.wait_for("[MSG:Job STAIRS.NC: did not finish; last recorded line: ")
     machine.wait_for("]\r\n")
-    line = int(machine.said.partition("last recorded line: ")[2].partition("]")[0])
+    line = int(machine.output.partition("last recorded line: ")[2].partition("]")[0])
     assert 5 < line < 90, message
     odometer = home(machine)
-    machine.forget()
+    machine.clear_output()
     machine.send("$F=@\n")
     machine.wait_for(f"Job STAIRS.NC: continues at line {line}")
     machine.wait_for("Job STAIRS.NC: done, 104 lines", 60_000_000)
     # The last target, in steps, 100 per mm: X and Y of the last G1, Z of the G0.
-    target_steps = [round(100 * mm) for mm in (*place_of(_JOB[101]), -1.5)]
+    target_steps = [round(100 * mm) for mm in (*xy_of(_JOB[101]), -1.5)]
     # Machine zero is at the switches, 200 steps from the odometer's origin.
     assert odometer.read() == [steps + 200 for steps in target_steps]
     assert read_back(machine.pico.flash_image())["jobs/STAIRS.NC"] == data
 
 
-def place_of(line: str) -> list[float]:
+def xy_of(line: str) -> list[float]:
     """Return X and Y."""
     return [float(word[1:]) for word in line.split() if word[0] in "XY"]
 
 
 def test_file_is_received_at_45_kilobytes_a_second(uf2: Path, tmp_path: Path) -> None:
-    machine = powered(uf2, made(tmp_path, uf2))
+    machine = start_with_flash(uf2, dragged_flash(tmp_path, uf2))
     angles = [i / 100 for i in range(1200)]
     lines = [f"G1X{50 * math.cos(a):.3f}Y{50 * math.sin(a):.3f}F1500" for a in angles]
     data = "\n".join(lines).encode()

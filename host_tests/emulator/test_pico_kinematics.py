@@ -10,19 +10,19 @@ import emulated
 import pytest
 from emulated import BOARD_FILE, DIR, STEP, Board, Odometer, for_this_chip, steps
 from rig_bench import Machine
-from test_pico_talk import MAIN, free
+from test_pico_talk import MAIN, free_heap_bytes
 from ugrbl.boardfile.files import load
 from ugrbl.compiling import build
 
 pytestmark = pytest.mark.xdist_group("pico kinematics")
 
 _EXAMPLES = Path(__file__).parent.parent.parent / "examples" / "kinematics"
-_HEAP = 60_000
+_HEAP_BYTES = 60_000
 _CHORD_US = 17_500  # checked and planned; 80 mm are 57 chords
 _TOLERANCE = 0.05
 
 
-def live(uf2: Path, file: Path, *settings: str) -> Board:
+def start_board(uf2: Path, file: Path, *settings: str) -> Board:
     """Start a Pico with that board file and settings, and record its motor pins."""
     files = build.for_board(file).files
     # fromkeys(): None instead of each file of the common board.
@@ -39,10 +39,10 @@ def scara(uf2: Path) -> Board:
     """Return a board with the example of a SCARA's kinematics, whose motors stay on."""
     file = for_this_chip(_EXAMPLES / "my_scara.py")
     shutil.copy(_EXAMPLES / "scara.py", file.parent)
-    return live(uf2, file, f"$12={_TOLERANCE}", "$1=255")
+    return start_board(uf2, file, f"$12={_TOLERANCE}", "$1=255")
 
 
-def arms() -> Any:
+def scara_module() -> Any:
     """Return the module examples/kinematics/scara.py."""
     load(_EXAMPLES / "my_scara.py")
     return sys.modules.get("scara") or __import__("scara")
@@ -53,26 +53,26 @@ def test_line_is_straight_and_has_the_commanded_speed(scara: Board) -> None:
     example's own forward kinematics."""
     scara.ask("G1X-40Y120F1200")
     scara.ask("G4P.01", limit_us=10_000_000)
-    begin = [float(x) for x in scara.status()["MPos"].split(",")]
-    assert begin == pytest.approx([-40, 120, 0], abs=0.1)
+    start_mm = [float(x) for x in scara.status()["MPos"].split(",")]
+    assert start_mm == pytest.approx([-40, 120, 0], abs=0.1)
     scara.pico.edges.clear()
     scara.ask("X40")
     scara.ask("G4P.01", limit_us=10_000_000)
     per_degree = 44.444  # steps
-    model: Any = arms()
+    model: Any = scara_module()
     joints = list(model.START)  # degrees of both arms, mm of Z
-    assert model.inverse(begin, joints)
-    made = sorted(
+    assert model.inverse(start_mm, joints)
+    steps_in_order = sorted(
         (us, axis, sign) for axis in range(3) for us, sign in steps(scara.pico.edges, axis)
     )
     tool_mm = [0.0, 0.0, 0.0]
     step_mm = 2 * math.radians(1 / per_degree) * 200  # of both arms, at most
-    for _, axis, sign in made:
+    for _, axis, sign in steps_in_order:
         joints[axis] += sign / (per_degree if axis < 2 else 400)
         model.forward(joints, tool_mm)
         assert abs(tool_mm[1] - 120) <= _TOLERANCE + step_mm
     assert tool_mm == pytest.approx([40, 120, 0], abs=0.2)
-    seconds = (made[-1][0] - made[0][0]) / 1e6
+    seconds = (steps_in_order[-1][0] - steps_in_order[0][0]) / 1e6
     assert seconds == pytest.approx(80 / 20, rel=0.06)
 
 
@@ -85,14 +85,14 @@ def test_unreachable_target_is_refused(scara: Board) -> None:
 def test_chords_are_planned_in_time_and_heap_is_free(scara: Board) -> None:
     """The figures are those of docs/kinematics.md: a line is answered when its chords, here 57,
     are planned."""
-    free_bytes = free(scara)
+    free_bytes = free_heap_bytes(scara)
     scara.ask("$12=0.002")  # mm: the tolerance that decides the number of chords
     scara.ask("G1X-40Y120F6000")
     scara.ask("G4P.01", limit_us=10_000_000)  # the end of motion
     begun_us = scara.pico.us
     scara.ask("G1X40Y121F6000", limit_us=20_000_000)
     assert (scara.pico.us - begun_us) / 57 < _CHORD_US
-    assert free_bytes >= _HEAP
+    assert free_bytes >= _HEAP_BYTES
 
 
 def test_backlash_is_compensated_to_the_step(uf2: Path, tmp_path: Path) -> None:
@@ -101,7 +101,7 @@ def test_backlash_is_compensated_to_the_step(uf2: Path, tmp_path: Path) -> None:
     checked."""
     file = tmp_path / "pico_backlash.py"
     file.write_text(BOARD_FILE.read_text() + "BACKLASH = True\n")
-    machine = live(
+    machine = start_board(
         uf2,
         file,
         "$100=80",
@@ -136,7 +136,7 @@ def test_skewed_motors_make_the_simulators_steps(uf2: Path, tmp_path: Path) -> N
     file = tmp_path / "pico_skew.py"
     file.write_text(BOARD_FILE.read_text() + "SKEW = True\n")
     settings = {110: 3000, 111: 3000, 112: 3000, 780: 100, 781: -50, 782: 30}
-    machine = live(uf2, file, *[f"${n}={value}" for n, value in settings.items()], "$1=255")
+    machine = start_board(uf2, file, *[f"${n}={value}" for n, value in settings.items()], "$1=255")
     odometer = Odometer(machine.pico, STEP, DIR)
     simulated = Machine({**settings, 1: 255}, load(file), watched=False)
     lines = [

@@ -96,7 +96,7 @@ def beam(machine: Board) -> Beam:
     return Beam(machine)
 
 
-def places(machine: Board, beam: Beam) -> "list[tuple[float, int]]":
+def power_changes(machine: Board, beam: Beam) -> "list[tuple[float, int]]":
     """Return (position, level) of each change of power.
 
     The position is in steps of X, with a fraction of the interval between two of them. Half a step
@@ -111,12 +111,12 @@ def places(machine: Board, beam: Beam) -> "list[tuple[float, int]]":
     return changes
 
 
-def fire(machine: Board, beam: Beam, *lines: str) -> None:
+def send_when_idle(machine: Board, beam: Beam, *lines: str) -> None:
     """Send lines when the machine is idle, with all records emptied before."""
     machine.until_idle()
     machine.pico.edges.clear()
     beam.changes.clear()
-    machine.forget()
+    machine.clear_output()
     machine.send("".join(line + "\n" for line in lines))
 
 
@@ -126,30 +126,30 @@ def test_power_changes_at_its_step_at_100_mm_s(
     machine: Board, beam: Beam, per_mm: int, mode: str
 ) -> None:
     """The table of docs/laser.md has the largest distance of a change from its place, in steps."""
-    far_from_its_place(machine, beam, per_mm, mode)
+    check_power_places(machine, beam, per_mm, mode)
 
 
-def far_from_its_place(
-    machine: Board, beam: Beam, per_mm: int, mode: str, others: str = ""
+def check_power_places(
+    machine: Board, beam: Beam, per_mm: int, mode: str, other_words: str = ""
 ) -> None:
-    """Check the distance of power changes from their places; others: words of other axes.
+    """Check the distance of power changes from their places; other_words: of other axes.
 
     Four clusters (lines with S0:300:...) of four dots each, 0.2 mm long, begin at X 2 mm.
     """
     machine.ask(f"$100={per_mm}")
-    machine.forget()
+    machine.clear_output()
     machine.send("\x18")
     machine.wait_for("for help]")
     for line in ("$X", f"G91 G1 F6000 {mode} S0"):
         machine.ask(line)
     lines = ["X2", *(f"X0.8S0:300:{875 - 100 * k}:100" for k in range(4)), "X0.8S1000", "X2S0"]
-    lines = [others + line for line in lines]  # words of other axes come first
-    fire(machine, beam, *lines)
-    machine.pico.run_until(lambda: machine.said.count("ok\r\n") == len(lines), 5_000_000)
-    assert machine.said.count("ok\r\n") == len(lines)
+    lines = [other_words + line for line in lines]  # words of other axes come first
+    send_when_idle(machine, beam, *lines)
+    machine.pico.run_until(lambda: machine.output.count("ok\r\n") == len(lines), 5_000_000)
+    assert machine.output.count("ok\r\n") == len(lines)
     machine.until_idle()
     # From shortly before the first cluster, at 2 mm, to the end of the line with S1000.
-    changes = [c for c in places(machine, beam) if 2 * per_mm - 9 < c[0] < 6.1 * per_mm]
+    changes = [c for c in power_changes(machine, beam) if 2 * per_mm - 9 < c[0] < 6.1 * per_mm]
     powers = [s for k in range(4) for s in (0, 300, 875 - 100 * k, 100)] + [1000]
     levels = [level for _, level in changes[:17]]  # 4 * 4 dots and S1000
     tolerance = 0 if mode == "M3" else 9  # M4 scales power with the speed
@@ -166,9 +166,9 @@ LIMIT = LIMIT + (None,) * (len(STEP) - 3)
 """
 
 
-@pytest.mark.parametrize(("motors", "others"), [(4, "A-.3"), (6, "A.3B-.2C.1")])
+@pytest.mark.parametrize(("motors", "other_words"), [(4, "A-.3"), (6, "A.3B-.2C.1")])
 def test_power_changes_at_its_step_with_four_and_six_motors(
-    uf2: Path, motors: int, others: str
+    uf2: Path, motors: int, other_words: str
 ) -> None:
     """The beam's machine is then one of PIO 1; with six motors it is the last free one.
 
@@ -185,9 +185,9 @@ def test_power_changes_at_its_step_with_four_and_six_motors(
     for setting in ("$0=3", "$33=20000"):
         machine.ask(setting)
     beam = Beam(machine)
-    far_from_its_place(machine, beam, 250, "M3", others)
-    running(machine, beam, "M3")
-    STOPS["reset"](machine)
+    check_power_places(machine, beam, 250, "M3", other_words)
+    start_dots(machine, beam, "M3")
+    STOP_ACTIONS["reset"](machine)
     machine.pico.run_us(1_500)  # until the beam must be off
     machine.pico.edges.clear()
     machine.pico.run_us(60_000)
@@ -196,23 +196,24 @@ def test_power_changes_at_its_step_with_four_and_six_motors(
     machine.pico.run_us(700_000)  # more than the welcome takes
     machine.send("\x18")
     machine.pico.run_us(50_000)
-    running(machine, beam, "M3")
+    start_dots(machine, beam, "M3")
 
 
-def running(machine: Board, beam: Beam, mode: str) -> None:
+def start_dots(machine: Board, beam: Beam, mode: str) -> None:
     """Start four lines of six dots each, and wait until the beam burns in the middle of them."""
     machine.ask("$100=250")
-    machine.forget()
+    machine.clear_output()
     machine.send("\x18")
     machine.wait_for("for help]")
     for line in ("$X", f"G91 G1 F3000 {mode} S0"):
         machine.ask(line)
-    fire(machine, beam, *["X1S1000:900:800:700:600:500"] * 4)
+    send_when_idle(machine, beam, *["X1S1000:900:800:700:600:500"] * 4)
     machine.pico.run_us(45_000)
-    assert beam.changes and beam.changes[-1][1] >= 500  # the level of the last change
+    last_level = beam.changes[-1][1]
+    assert last_level >= 500
 
 
-STOPS = {
+STOP_ACTIONS = {
     "reset": lambda machine: machine.send("\x18"),
     "limit": lambda machine: machine.pico.drive(LIMIT[0], 0),
     "button": lambda machine: machine.pico.drive(RESET, 0),
@@ -220,14 +221,15 @@ STOPS = {
 
 
 @pytest.mark.parametrize("mode", ["M3", "M4"])
-@pytest.mark.parametrize("stop", STOPS)
+@pytest.mark.parametrize("stop", STOP_ACTIONS)
 def test_any_stop_switches_the_beam_off_for_good(
     machine: Board, beam: Beam, stop: str, mode: str
 ) -> None:
-    """Within 1.5 ms. After a reset the next job works as before."""
+    """A reset, a limit switch or a reset button switches it off within 1.5 ms. After a reset the
+    next job works as before."""
     machine.ask("$21=1")
-    running(machine, beam, mode)
-    STOPS[stop](machine)
+    start_dots(machine, beam, mode)
+    STOP_ACTIONS[stop](machine)
     machine.pico.run_us(1_500)
     machine.pico.edges.clear()
     machine.pico.run_us(60_000)
@@ -240,7 +242,7 @@ def test_any_stop_switches_the_beam_off_for_good(
     machine.pico.run_us(50_000)
     machine.ask("$21=0")
     # Afterwards dots are in step with motion again.
-    running(machine, beam, mode)
+    start_dots(machine, beam, mode)
     machine.until_idle()
     # The last dot has S500; while idle, M4 is off and M3 stays on.
     assert beam.changes[-1][1] == (0 if mode == "M4" else _HALF)
@@ -248,9 +250,9 @@ def test_any_stop_switches_the_beam_off_for_good(
 
 @pytest.mark.parametrize("mode", ["M3", "M4"])
 def test_hold_is_dark_and_dots_continue_after_it(machine: Board, beam: Beam, mode: str) -> None:
-    """running() starts four lines of 1 mm, each with six dots of the levels _DOTS. After the hold
+    """start_dots() sends four lines of 1 mm, each with six dots of levels _DOTS. After the hold
     all steps are made (250 per mm), and in M3 the last dots have their exact levels."""
-    running(machine, beam, mode)
+    start_dots(machine, beam, mode)
     machine.send("!")
     machine.pico.run_us(300_000)
     assert machine.status()["state"] == "Hold:0"
@@ -259,16 +261,18 @@ def test_hold_is_dark_and_dots_continue_after_it(machine: Board, beam: Beam, mod
     machine.send("~")
     machine.until_idle()
     assert len(steps(machine.pico.edges, 0)) == 4 * 250 > steps_until_hold
-    levels = [level for _, level in places(machine, beam) if level in (0, *_DOTS)]
+    levels = [level for _, level in power_changes(machine, beam) if level in (0, *_DOTS)]
     if mode == "M3":
         assert levels[-7:] == (_DOTS * 2)[-7:]
 
 
 @pytest.fixture(scope="module")
-def other(uf2: Path) -> "tuple[Board, Beam]":
+def board_and_beam(uf2: Path) -> "tuple[Board, Beam]":
     """Return a second machine, with two commands that MAIN adds: $OUT switches the laser off,
     $DEAF blocks interrupts for 30 ms."""
-    machine = Board(uf2, {**files_of("pico_laser"), "main.py": MAIN}).boot().settled()
+    machine = (
+        Board(uf2, {**files_of("pico_laser"), "main.py": MAIN_WITH_COMMANDS}).boot().settled()
+    )
     machine.pico.record([SPINDLE_PWM, *STEP, *DIR])
     for setting in ("$0=3", "$110=6000", "$120=5000"):
         machine.ask(setting)
@@ -276,14 +280,14 @@ def other(uf2: Path) -> "tuple[Board, Beam]":
 
 
 def test_laser_switched_off_in_motion_is_dark_and_the_motion_continues(
-    other: "tuple[Board, Beam]",
+    board_and_beam: "tuple[Board, Beam]",
 ) -> None:
     """By the command $OUT, which the fixture adds: it calls Laser.stop() without stopping motion.
 
     The firmware itself never does so, but the method must not depend on that.
     """
-    machine, beam = other
-    running(machine, beam, "M3")
+    machine, beam = board_and_beam
+    start_dots(machine, beam, "M3")
     machine.ask("$OUT")
     machine.pico.run_us(200)
     machine.pico.edges.clear()
@@ -292,16 +296,18 @@ def test_laser_switched_off_in_motion_is_dark_and_the_motion_continues(
     assert len(steps(machine.pico.edges, 0)) > 100 and len(beam.changes) == changes
     assert machine.pico.level(SPINDLE_PWM) == 0
     machine.until_idle()
-    running(machine, beam, "M3")
+    start_dots(machine, beam, "M3")
     machine.until_idle()
 
 
 @pytest.mark.parametrize("mode", ["M3", "M4"])
-def test_no_dot_is_lost_when_the_interrupt_is_late(other: "tuple[Board, Beam]", mode: str) -> None:
+def test_no_dot_is_lost_when_the_interrupt_is_late(
+    board_and_beam: "tuple[Board, Beam]", mode: str
+) -> None:
     """By the command $DEAF, which the fixture adds: it blocks interrupts for 30 ms. Motors and
     beam wait and continue together; M4 is dark while idle."""
-    machine, beam = other
-    running(machine, beam, mode)
+    machine, beam = board_and_beam
+    start_dots(machine, beam, mode)
     machine.ask("$DEAF")
     machine.until_idle()
     gaps_us = [b - a for (a, _), (b, _) in pairwise(steps(machine.pico.edges, 0))]
@@ -312,7 +318,7 @@ def test_no_dot_is_lost_when_the_interrupt_is_late(other: "tuple[Board, Beam]", 
     assert levels[-1] == (0 if mode == "M4" else _HALF)
 
 
-MAIN = b"""
+MAIN_WITH_COMMANDS = b"""
 import time
 
 from boot import power_up

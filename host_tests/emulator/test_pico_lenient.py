@@ -26,7 +26,7 @@ def test_program_for_another_controller_is_drilled(uf2: Path, tmp_path: Path) ->
     for line in _SETTINGS:
         machine.ask(line)
     machine.pico.record([*STEP, *DIR])
-    machine.forget()
+    machine.clear_output()
     machine.send("\n".join((*_BEFORE[:4], "")))
     machine.wait_for("[MSG:Insert tool 328, then send ~]")
     machine.pico.run_us(300_000)
@@ -41,5 +41,5 @@ def test_program_for_another_controller_is_drilled(uf2: Path, tmp_path: Path) ->
     assert [track[-1] for track in tracks] == [50, 200, 200]  # X.5 Y2 Z2
     assert [min(track) for track in tracks] == [1, 1, -100]
     assert sum(z == -100 for z in tracks[2]) == 3  # the bottom of each hole
-    assert "error" not in machine.said
+    assert "error" not in machine.output
     assert machine.ask("$G").startswith("[GC:G0 ")

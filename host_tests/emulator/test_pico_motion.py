@@ -39,7 +39,7 @@ def machine(uf2: Path) -> Board:
     USER adds commands: $BLOCK blocks the main loop for 200 ms, $COLLECT collects garbage for
     150 ms, $PRINT sends 200 messages.
     """
-    made = Board(uf2, {"main.py": USER}).boot().settled()
+    made = Board(uf2, {"main.py": USER_MAIN}).boot().settled()
     for setting in SETTINGS:
         assert made.ask(setting).endswith("ok\r\n")
     made.pico.record([*STEP, *DIR, ENABLE])
@@ -47,7 +47,7 @@ def machine(uf2: Path) -> Board:
 
 
 # A user's slow Python code in main.py, where users may add such commands.
-USER = b"""
+USER_MAIN = b"""
 import gc
 import time
 
@@ -80,14 +80,14 @@ power_up.run_machine(power_up.build())
 """
 
 
-def moved(machine: Board, lines: "list[str]") -> "list[list[tuple[float, int]]]":
+def run_lines(machine: Board, lines: "list[str]") -> "list[list[tuple[float, int]]]":
     """Stream lines, wait until they are executed, and return the steps of every axis."""
     machine.until_idle()
     machine.pico.edges.clear()
-    machine.forget()
+    machine.clear_output()
     machine.send("".join(line + "\n" for line in lines))
-    machine.pico.run_until(lambda: machine.said.count("ok\r\n") == len(lines), 10_000_000)
-    assert machine.said.count("ok\r\n") == len(lines), machine.said
+    machine.pico.run_until(lambda: machine.output.count("ok\r\n") == len(lines), 10_000_000)
+    assert machine.output.count("ok\r\n") == len(lines), machine.output
     machine.until_idle()
     return [steps(machine.pico.edges, axis) for axis in range(3)]
 
@@ -96,7 +96,7 @@ def moved(machine: Board, lines: "list[str]") -> "list[list[tuple[float, int]]]"
 def made(machine: Board) -> "list[list[tuple[float, int]]]":
     """Return the steps of the program, (us, sign) per axis, and leave its edges in
     machine.program_edges."""
-    steps_of_axes = moved(machine, PROGRAM)
+    steps_of_axes = run_lines(machine, PROGRAM)
     machine.program_edges = list(machine.pico.edges)
     return steps_of_axes
 
@@ -130,20 +130,20 @@ def test_pulse_length_and_direction_setup_and_hold_are_kept(
     made: "list[list[tuple[float, int]]]", machine: Board
 ) -> None:
     """Checked at each edge of both pins, with the time by which the emulator may be late."""
-    assert made
+    assert made  # this fixture leaves the edges in machine.program_edges
     for axis in range(3):
         edges = [e for e in machine.program_edges if e.pin in (STEP[axis], DIR[axis])]
-        rise = change = -1e9  # us: STEP's last rising edge, DIR's last change
+        last_rise_us = last_change_us = -1e9  # us: STEP's last rising edge, DIR's last change
         for edge in edges:
             us = edge.ns / 1000
             if edge.pin == DIR[axis]:
-                assert us - rise >= _PULSE_US + _HOLD_US - _SEEN_US
-                change = us
+                assert us - last_rise_us >= _PULSE_US + _HOLD_US - _SEEN_US
+                last_change_us = us
             elif edge.level:
-                assert us - change >= _SETUP_US - _SEEN_US
-                rise = us
+                assert us - last_change_us >= _SETUP_US - _SEEN_US
+                last_rise_us = us
             else:
-                assert abs(us - rise - _PULSE_US) <= _SEEN_US
+                assert abs(us - last_rise_us - _PULSE_US) <= _SEEN_US
 
 
 def _intervals(track: "list[tuple[float, int]]", skip: int) -> "list[float]":
@@ -172,7 +172,7 @@ def test_motion_is_smooth_while_python_is_busy(machine: Board, command: str) -> 
 
 def test_motors_are_powered_while_they_move_and_released_after(machine: Board) -> None:
     machine.ask("$1=25")  # ms until they are released
-    moved(machine, ["G91 G0 X1"])
+    run_lines(machine, ["G91 G0 X1"])
     machine.pico.run_us(60_000)
     levels = [edge.level for edge in machine.pico.edges if edge.pin == ENABLE]
     assert levels == [0, 1]  # 0: on
@@ -181,7 +181,7 @@ def test_motors_are_powered_while_they_move_and_released_after(machine: Board) -
 def test_slow_steps_are_even(machine: Board) -> None:
     # 250 mm/min * 80 steps/mm are 333 steps/s, 3000 us apart. Slower steps take too long here;
     # host_tests/pio/test_pio.py has them.
-    tracks = moved(machine, ["G91 G1 X0.5 F250"])
+    tracks = run_lines(machine, ["G91 G1 X0.5 F250"])
     gaps_us = _intervals(tracks[0], 6)
     # 40 steps without 6 at each end have 27 intervals; each is within 1 %.
     assert len(gaps_us) == 27 and max(abs(gap - 3000) for gap in gaps_us) <= 30

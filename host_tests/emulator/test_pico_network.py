@@ -193,7 +193,7 @@ def test_caller_with_the_key_gains_control_and_heap_is_free(machine: Board) -> N
     """The caller's line without the key is refused, the one after it moves X to 2 mm. After its
     silence the cable may send lines."""
     machine.pico.run_us(1_300_000)  # the caller's script, _SAYS
-    machine.forget()
+    machine.clear_output()
     machine.send("?")
     assert "MPos:2.000,0.000,0.000" in machine.wait_for(">")
     machine.pico.run_us(3_000_000)  # the silence
@@ -204,7 +204,7 @@ def test_page_is_served_and_gains_control_and_heap_is_free(with_page: Board) -> 
     """A browser's script (ASKS): it loads the page, opens the WebSocket, sends the key in two
     frames, and moves X to 3 mm. Then the cable may send lines."""
     with_page.pico.run_us(2_500_000)  # the script
-    with_page.forget()
+    with_page.clear_output()
     with_page.send("?")
     assert "MPos:3.000,0.000,0.000" in with_page.wait_for(">")
     with_page.pico.run_us(3_000_000)  # the browser's silence

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from chips import CHIP
-from test_pico_jobs import _JOB, _SETTINGS, home, made, place_of, powered, push
+from test_pico_jobs import _JOB, _SETTINGS, dragged_flash, home, push, start_with_flash, xy_of
 
 pytestmark = pytest.mark.xdist_group("pico jobs")
 
@@ -27,13 +27,13 @@ _BRISK = tuple(line.replace("=500", "=1000") for line in _SETTINGS)
 def test_supply_that_fails_in_a_job_leaves_its_exact_line(uf2: Path, tmp_path: Path) -> None:
     """The pin POWER_FAIL reports the failure. A Pico that starts with that flash reports line and
     position, which match the steps made, at 100 steps/mm; the job continues there."""
-    flash = made(tmp_path, uf2, _OPTIONS, _BRISK)
-    machine = powered(uf2, flash)
+    flash = dragged_flash(tmp_path, uf2, _OPTIONS, _BRISK)
+    machine = start_with_flash(uf2, flash)
     pico = machine.pico
     machine.ask("$X")
     push(machine, "STAIRS.NC", "".join(f"{line}\n" for line in _JOB).encode())
     odometer = home(machine)
-    machine.forget()
+    machine.clear_output()
     machine.send("$F=stairs.nc\n")
     machine.wait_for("Job STAIRS.NC: begins")
     pico.run_us(600_000)
@@ -50,20 +50,20 @@ def test_supply_that_fails_in_a_job_leaves_its_exact_line(uf2: Path, tmp_path: P
     assert taken_us < _LASTS_US and not erasures, "an erasure takes up to 0.4 s"
     made_steps, flash = odometer.read(), pico.read_flash(0, CHIP.flash)  # and the supply is gone
 
-    machine = powered(uf2, flash)
+    machine = start_with_flash(uf2, flash)
     machine.wait_for("last recorded line: ")
     machine.wait_for("]\r\n")
-    report = _REPORT.search(machine.said)
-    assert report, machine.said
+    report = _REPORT.search(machine.output)
+    assert report, machine.output
     line = int(report[1])
-    assert f"last recorded line: {line}]" in machine.said
+    assert f"last recorded line: {line}]" in machine.output
     # Machine zero is at the switches, 200 steps from the odometer's origin.
     reported_steps = [round(100 * float(word)) + 200 for word in report.groups()[1:]]
     assert reported_steps == made_steps
     # X and Y are between the ends of that line, within a step.
-    for axis, ends in enumerate(zip(place_of(_JOB[line - 2]), place_of(_JOB[line - 1]))):
+    for axis, ends in enumerate(zip(xy_of(_JOB[line - 2]), xy_of(_JOB[line - 1]))):
         assert min(ends) - 0.011 <= (made_steps[axis] - 200) / 100 <= max(ends) + 0.011
     home(machine)
-    machine.forget()
+    machine.clear_output()
     machine.send("$F=@\n")
     machine.wait_for(f"Job STAIRS.NC: continues at line {line}")

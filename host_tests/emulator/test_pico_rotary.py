@@ -6,8 +6,8 @@ from pathlib import Path
 import emulated
 import pytest
 from emulated import Board, Odometer, for_this_chip
-from test_pico_stack import RESERVE, SIZE, Stack
-from test_pico_talk import MAIN, free
+from test_pico_stack import RESERVE_BYTES, STACK_BYTES, Stack
+from test_pico_talk import MAIN, free_heap_bytes
 from ugrbl.boardfile.files import load_board
 from ugrbl.compiling import build
 from ugrbl.paths import BOARDS
@@ -21,7 +21,7 @@ _SETTINGS = (
     *("$110=6000", "$111=6000", "$112=3000", "$113=60000"),
     *("$120=1000", "$121=1000", "$122=1000", "$123=10000", "$133=0"),
 )
-_HEAP = 65_000
+_HEAP_BYTES = 65_000
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +62,7 @@ def test_every_step_is_made_within_the_stack(machine: Board, odometer: Odometer)
     chance = random.Random(19)
     due_steps = odometer.read()
     stack = Stack(machine)
-    stack.paint()
+    stack.start_measuring()
     machine.ask("G91 G1 F3000")
     for _ in range(60):
         steps = [chance.randrange(-40, 41) * 5 for _ in _PER_UNIT]
@@ -76,9 +76,9 @@ def test_every_step_is_made_within_the_stack(machine: Board, odometer: Odometer)
         machine.ask(("G1", "S100 G1", "")[kind] + "".join(words))
         due_steps = [at + n for at, n in zip(due_steps, steps, strict=True)]
     machine.ask("G4P.01", limit_us=5_000_000)  # the end of motion
-    assert stack.used() <= SIZE - RESERVE
+    assert stack.most_used() <= STACK_BYTES - RESERVE_BYTES
     assert odometer.read() == due_steps
 
 
 def test_heap_is_free(machine: Board) -> None:
-    assert free(machine) >= _HEAP
+    assert free_heap_bytes(machine) >= _HEAP_BYTES

@@ -9,9 +9,9 @@ import emulated
 import pytest
 from chips import Edge
 from emulated import Board, Odometer, files_of, for_this_chip
-from test_pico_stack import RESERVE, SIZE, Stack
+from test_pico_stack import RESERVE_BYTES, STACK_BYTES, Stack
 from test_pico_talk import MAIN as FREE
-from test_pico_talk import free
+from test_pico_talk import free_heap_bytes
 from ugrbl.boardfile.files import load_board
 from ugrbl.compiling import build
 from ugrbl.paths import BOARDS
@@ -35,7 +35,7 @@ _SETTINGS = (
         for axis in range(6)
     ),
 )
-_HEAP, _HEAP_OF_SIX = 62_000, 82_000
+_HEAP_BYTES, _HEAP_BYTES_OF_SIX = 62_000, 82_000
 _TICK_US = 0.08
 # The emulator records an edge up to a few instructions late.
 _SEEN_US = 0.3
@@ -55,16 +55,16 @@ class Machine:
         board.pico.record([*_SIX.STEP, *_SIX.DIR])
         self.odometer = Odometer(board.pico, _SIX.STEP, _SIX.DIR)
 
-    def rises(self, motor: int) -> "list[float]":
+    def step_times_us(self, motor: int) -> "list[float]":
         """Return the times of a motor's steps, in us."""
-        return _rises(self.board.pico.edges, motor)
+        return _step_times_us(self.board.pico.edges, motor)
 
-    def places(self) -> "list[float]":
+    def reported_steps(self) -> "list[float]":
         """Return the reported position, in steps."""
         return [round(float(mm) * _PER_MM, 3) for mm in self.board.status()["MPos"].split(",")]
 
 
-def _rises(edges: "list[Edge]", motor: int) -> "list[float]":
+def _step_times_us(edges: "list[Edge]", motor: int) -> "list[float]":
     return [edge.ns / 1000 for edge in edges if edge.pin == _SIX.STEP[motor] and edge.level]
 
 
@@ -87,7 +87,7 @@ def test_every_motor_makes_every_step_of_random_lines(machine: Machine) -> None:
     board = machine.board
     due_steps = machine.odometer.read()
     stack = Stack(board)
-    stack.paint()
+    stack.start_measuring()
     board.ask("G91 G1 F6000")
     for _ in range(50):
         steps = [chance.choice((0, chance.randrange(-200, 201))) for _ in _LETTERS]
@@ -96,8 +96,8 @@ def test_every_motor_makes_every_step_of_random_lines(machine: Machine) -> None:
         board.ask(chance.choice(("G1", "S100 G1", "")) + words)
         due_steps = [at + n for at, n in zip(due_steps, steps, strict=True)]
     board.ask("G4P.01", limit_us=5_000_000)  # the end of motion
-    assert stack.used() <= SIZE - RESERVE
-    assert machine.odometer.read() == due_steps == machine.places()
+    assert stack.most_used() <= STACK_BYTES - RESERVE_BYTES
+    assert machine.odometer.read() == due_steps == machine.reported_steps()
 
 
 def test_motors_of_both_pios_step_in_the_same_tick(machine: Machine) -> None:
@@ -107,7 +107,7 @@ def test_motors_of_both_pios_step_in_the_same_tick(machine: Machine) -> None:
         machine.odometer.read()
         board.ask("G91 G1 X2Y-2Z2A-2B2C-2 F9000")
         board.ask("G4P.01", limit_us=3_000_000)
-        tracks = [machine.rises(motor) for motor in range(6)]
+        tracks = [machine.step_times_us(motor) for motor in range(6)]
         assert {len(track) for track in tracks} == {2 * _PER_MM}
         for track in tracks[1:]:
             apart_us = [abs(a - b) for a, b in zip(tracks[0], track, strict=True)]
@@ -125,15 +125,15 @@ def _check_rate(machine: Machine, khz: float) -> None:
     before = machine.odometer.read()
     board.ask("G91 G1" + "".join(f"{letter}46" for letter in _LETTERS) + "F999999")
     board.until_idle()
-    tracks = [machine.rises(motor) for motor in range(6)]
-    middle = (tracks[0][0] + tracks[0][-1]) / 2
+    tracks = [machine.step_times_us(motor) for motor in range(6)]
+    middle_us = (tracks[0][0] + tracks[0][-1]) / 2
     for track in tracks:
-        gaps = [b - a for a, b in pairwise(track) if abs(a - middle) < 5_000]  # us
-        assert 1e3 * len(gaps) / sum(gaps) == pytest.approx(khz, rel=4e-4)
-        assert min(gaps) >= 1e3 // khz - _SEEN_US
+        gaps_us = [b - a for a, b in pairwise(track) if abs(a - middle_us) < 5_000]  # us
+        assert 1e3 * len(gaps_us) / sum(gaps_us) == pytest.approx(khz, rel=4e-4)
+        assert min(gaps_us) >= 1e3 // khz - _SEEN_US
     after = machine.odometer.read()
     assert [b - a for a, b in zip(before, after, strict=True)] == [46 * _PER_MM] * 6
-    assert machine.places() == after
+    assert machine.reported_steps() == after
 
 
 def test_a_board_that_allows_pulses_of_1_us_makes_500_khz_on_six_motors(uf2: Path) -> None:
@@ -155,7 +155,7 @@ def test_reset_stops_all_six_motors_and_their_positions_are_known(
     afterwards."""
     board = machine.board
     board.ask("G91 G1 F60000")
-    board.forget()
+    board.clear_output()
     for mm in (12, -12, 15):
         board.send("".join(f"{letter}{mm}" for letter in _LETTERS) + "\n")
     board.pico.run_us(ms * 1000)
@@ -165,7 +165,7 @@ def test_reset_stops_all_six_motors_and_their_positions_are_known(
     board.pico.run_us(20_000)
     assert machine.odometer.read() == stopped_at
     board.ask("$X")
-    assert machine.places() == stopped_at
+    assert machine.reported_steps() == stopped_at
     board.ask("G91 G1 F6000" + "".join(f"{a}{k / 10:.1f}" for k, a in enumerate(_LETTERS, 1)))
     board.ask("G4P.01")
     steps = [b - a for a, b in zip(stopped_at, machine.odometer.read(), strict=True)]
@@ -184,14 +184,14 @@ def test_any_limit_switch_stops_all_six_motors(machine: Machine, motor: int) -> 
     closed_us = board.pico.us
     board.pico.drive(_SIX.LIMIT[motor], 0)
     board.wait_for("[MSG:Reset to continue]")
-    late_steps = [us for k in range(6) for us in machine.rises(k) if us > closed_us + 200]
+    late_steps = [us for k in range(6) for us in machine.step_times_us(k) if us > closed_us + 200]
     board.pico.drive(_SIX.LIMIT[motor], 1)
     assert late_steps == []
     board.send("\x18")
     board.wait_for("Grbl 1.1h")
     board.ask("$X")
     board.ask("$21=0")
-    assert machine.places() == machine.odometer.read()
+    assert machine.reported_steps() == machine.odometer.read()
 
 
 def test_interrupt_of_six_motors_takes_at_most_one_and_a_half_of_three(
@@ -205,11 +205,11 @@ def test_interrupt_of_six_motors_takes_at_most_one_and_a_half_of_three(
     for setting in _SETTINGS:
         if int(setting[1:].partition("=")[0]) % 10 < 3:  # axes X, Y, Z
             three.ask(setting)
-    shares = [_share(board, axes) for board, axes in ((three, 3), (machine.board, 6))]
+    shares = [_interrupt_share(board, axes) for board, axes in ((three, 3), (machine.board, 6))]
     assert 0 < shares[1] <= _DEARER * shares[0]
 
 
-def _share(board: Board, axes: int) -> float:
+def _interrupt_share(board: Board, axes: int) -> float:
     """Return the interrupt's share of the processor's time, from 0 to 1.
 
     The board counts in a loop for _COUNTED_US, at once ($COUNT) and during motion ($LATER).
@@ -229,13 +229,13 @@ def _numbers(said: str) -> "list[int]":
 
 
 def test_four_axis_lines_reach_82_percent_of_the_three_axis_rate(uf2: Path) -> None:
-    """The figure is in docs/speed.md."""
+    """Rates of streamed lines, as `make bench-board` measures them for docs/speed.md."""
     three, four = (next(of_axes(Bench(uf2), name)).figure for name in ("three axes", "four axes"))
     assert four >= 0.82 * three > 0
 
 
 def test_heap_is_free_with_six_axes(uf2: Path) -> None:
-    assert free(_board(uf2, dict(files_of("pico_six")), FREE)) >= _HEAP_OF_SIX
+    assert free_heap_bytes(_board(uf2, dict(files_of("pico_six")), FREE)) >= _HEAP_BYTES_OF_SIX
 
 
 def test_heap_is_free_with_four_axes_and_a_pair(uf2: Path) -> None:
@@ -243,4 +243,4 @@ def test_heap_is_free_with_four_axes_and_a_pair(uf2: Path) -> None:
     file = for_this_chip(BOARDS / "pico_six.py", five)
     # fromkeys(): None instead of each file of the common board.
     files = {**dict.fromkeys(emulated.firmware()), **build.for_board(file).files}
-    assert free(_board(uf2, files, FREE)) >= _HEAP
+    assert free_heap_bytes(_board(uf2, files, FREE)) >= _HEAP_BYTES

@@ -136,7 +136,9 @@ def measured(uf2: Path, parts: "Sequence[str]", cached: bool = False) -> "dict[s
     return {row.name: row.figure for part in parts for row in bench_board._PARTS[part](bench)}
 
 
-def wrong(cell: str, row: str, found: "dict[str, float]", of: "Sequence[str]" = ()) -> "list[str]":
+def deviations(
+    cell: str, row: str, found: "dict[str, float]", of: "Sequence[str]" = ()
+) -> "list[str]":
     """Return a message for each figure of a cell that differs by more than 10 % and rounding.
 
     row: key in _ROWS; found: measured figures by the benchmark's row; of: benchmark rows, if not
@@ -157,7 +159,7 @@ def wrong(cell: str, row: str, found: "dict[str, float]", of: "Sequence[str]" = 
     return faults
 
 
-def of_row(row: str) -> str:
+def row_key(row: str) -> str:
     """Return the key in _ROWS of a row of the table."""
     (begin,) = [begin for begin in _ROWS if row.startswith(begin)]
     return begin
@@ -170,7 +172,7 @@ def test_figures_of_the_table_are_measured_again(uf2: Path) -> None:
     shares = [found[name] for name in _LONG]
     found.update({"least of long moves": min(shares), "most of long moves": max(shares)})
     rows = [row for row in TABLE if row not in _NOT_HERE]
-    faults = [fault for row in rows for fault in wrong(TABLE[row][0], of_row(row), found)]
+    faults = [fault for row in rows for fault in deviations(TABLE[row][0], row_key(row), found)]
     assert not faults, "\n".join(faults)
 
 
@@ -193,26 +195,26 @@ def test_figures_of_streams_hold_with_the_flash_cache(uf2: Path) -> None:
     faults = []
     for row in TABLE:
         if row.startswith(_STREAMS):
-            _, names = _ROWS[of_row(row)]
+            _, names = _ROWS[row_key(row)]
             # The second column lacks the figures that were given and not measured ("").
             measured_names = [name for name in names if name]
-            faults += wrong(TABLE[row][1], of_row(row), found, measured_names)
+            faults += deviations(TABLE[row][1], row_key(row), found, measured_names)
     assert not faults, "\n".join(faults)
 
 
 def test_stated_figures_are_compared() -> None:
-    """Test figures() and wrong() themselves, and that _ROWS has every row of the table."""
+    """Test figures() and deviations() themselves, and that _ROWS has every row of the table."""
     assert figures("2610 and 23,000 chords/s") == [(2610, 0.5), (23000, 0.5)]
     assert figures("0, 67 and 2600 bytes") == [(0, 0.5), (67, 0.5), (2600, 0.5)]
     assert figures("1.9, 5.3 and 6.7 %")[1] == (5.3, pytest.approx(0.05))
     row = "short moves in check mode"
     # 2200, 10 % and half a unit: from 1979.5 to 2420.5.
     for result, faults in ((2200, 0), (1981, 0), (1970, 1), (2425, 1)):
-        assert len(wrong("2200 lines/s", row, {"short moves, check mode": result})) == faults
-    assert not wrong(
+        assert len(deviations("2200 lines/s", row, {"short moves, check mode": result})) == faults
+    assert not deviations(
         "249.5 kHz each", "step rate on one", dict.fromkeys(_ROWS["step rate on one"][1], 249.0)
     )
-    assert {of_row(row) for row in TABLE if row not in _NOT_HERE} == set(_ROWS)
+    assert {row_key(row) for row in TABLE if row not in _NOT_HERE} == set(_ROWS)
 
 
 # Not in the table
@@ -230,7 +232,7 @@ def circling(uf2: Path) -> "Iterator[Talk]":
     yield talk
 
 
-def _left(talk: Talk, lines: "list[str]") -> int:
+def _bytes_left(talk: Talk, lines: "list[str]") -> int:
     """Return the bytes that lines leave on the heap, without a garbage collection."""
     inside(talk, "$COLLECT=1")
     inside(talk, "$GC=0")
@@ -244,8 +246,8 @@ def _left(talk: Talk, lines: "list[str]") -> int:
 def test_chords_leave_nothing_on_the_heap(circling: Talk) -> None:
     """The same circles with fewer chords, by a larger tolerance ($12), leave as many bytes: the
     difference is at most a byte for each chord."""
-    bytes_of_many = _left(circling, circles(1))
+    bytes_of_many = _bytes_left(circling, circles(1))
     idle(circling)
     circling.ask("$12=0.002")
-    bytes_of_fewer = _left(circling, circles(1))
+    bytes_of_fewer = _bytes_left(circling, circles(1))
     assert (bytes_of_many - bytes_of_fewer) / CIRCLE_CHORDS <= 1

@@ -18,8 +18,8 @@ from emulated import DIR, HOLD, LIMIT, PROBE, RESET, START, STEP, Board, steps
 pytestmark = pytest.mark.xdist_group("pico stack")
 
 TOP = CHIP.stack_top
-SIZE = 8192
-RESERVE = 2048
+STACK_BYTES = 8192
+RESERVE_BYTES = 2048
 _NESTED_RESERVE = 1792  # if the deepest of all occurred together, which was never observed
 _PATTERN = 0x2A2A2A2A  # the pattern of firmware/pio/stack.py: both find the same paint
 _GUARD = 64  # bytes below the stack pointer that are not painted
@@ -37,9 +37,9 @@ _RX_BYTES = 120
 class Watched(Board):
     """A board that checks all output for the report of an interrupt without stack space."""
 
-    def forget(self) -> None:
-        assert "Uncaught" not in self.said, self.said[-300:]
-        super().forget()
+    def clear_output(self) -> None:
+        assert "Uncaught" not in self.output, self.output[-300:]
+        super().clear_output()
 
 
 class Stack:
@@ -52,14 +52,14 @@ class Stack:
         self.irqs: dict[int, int] = {}  # deepest of each interrupt, by its number
         self.marks: dict[str, int] = {}  # used() by scenario
 
-    def paint(self) -> None:
+    def start_measuring(self) -> None:
         """Fill the free stack with the pattern."""
-        for address in range(TOP - SIZE, self._pico.stack()[0] - _GUARD, 4):
+        for address in range(TOP - STACK_BYTES, self._pico.stack()[0] - _GUARD, 4):
             self._pico.write_word(address, _PATTERN)
 
-    def used(self) -> int:
-        """Return the largest number of bytes used since the paint."""
-        for address in range(TOP - SIZE, TOP, 4):
+    def most_used(self) -> int:
+        """Return the largest number of bytes used since start_measuring()."""
+        for address in range(TOP - STACK_BYTES, TOP, 4):
             if self._pico.read_word(address) != _PATTERN:
                 return TOP - address
         return 0
@@ -136,12 +136,12 @@ def stream(machine: Board, lines: "tuple[str, ...]", rounds: int, query_ms: floa
     pico = machine.pico
     machine.ask("G91")
     start = machine.status()["MPos"]
-    machine.forget()
+    machine.clear_output()
     next_query_us = pico.us + query_ms * 1000
     to_send = [line + "\n" for line in lines * rounds]
     sent: list[str] = []
-    while machine.said.count("ok\r\n") < len(lines) * rounds:
-        unanswered = sent[machine.said.count("ok\r\n") :]
+    while machine.output.count("ok\r\n") < len(lines) * rounds:
+        unanswered = sent[machine.output.count("ok\r\n") :]
         while to_send and sum(map(len, unanswered)) + len(to_send[0]) <= _RX_BYTES:
             unanswered.append(to_send[0])
             sent.append(to_send[0])
@@ -150,7 +150,7 @@ def stream(machine: Board, lines: "tuple[str, ...]", rounds: int, query_ms: floa
             machine.send("?")
             next_query_us += query_ms * 1000
         pico.run_us(500)
-        assert "Uncaught" not in machine.said and "error" not in machine.said, machine.said
+        assert "Uncaught" not in machine.output and "error" not in machine.output, machine.output
     machine.until_idle()
     assert machine.status()["MPos"] == start
 
@@ -160,7 +160,7 @@ def unlock(machine: Board) -> None:
     for pin in (LIMIT[0], RESET, HOLD):
         machine.pico.drive(pin, 1)
     machine.pico.run_us(30_000)  # a button has its own welcome
-    machine.forget()
+    machine.clear_output()
     machine.send("\x18")
     machine.wait_for("Grbl 1.1h")
     machine.pico.run_us(60_000)  # that may be the button's, half a second late
@@ -177,7 +177,7 @@ def talk(machine: Board) -> None:
     machine.ask("$RST=#")
     machine.ask("$C")
     machine.ask("G91G2X1Y0I0.5J0F500")
-    machine.forget()
+    machine.clear_output()
     machine.send("$C\n")
     machine.wait_for("Grbl 1.1h")
     machine.ask("$X")
@@ -200,7 +200,7 @@ def short_lines(machine: Board) -> None:
 def jogs(machine: Board) -> None:
     """Stream jogs, and cancel one in motion."""
     stream(machine, ("$J=X0.1F3000", "$J=X-0.1F3000"), rounds=5, query_ms=17)
-    machine.forget()
+    machine.clear_output()
     machine.send("$J=X5F3000\n")
     machine.pico.run_us(50_000)
     machine.send(b"\x85?")  # jog cancel
@@ -234,7 +234,7 @@ def door(machine: Board) -> None:
 
 def probe(machine: Board) -> None:
     """Probe along X; the contact closes after 50 ms."""
-    machine.forget()
+    machine.clear_output()
     machine.send("G91 G38.3 X2 F900\n")
     machine.pico.run_us(40_000)
     machine.send("?")
@@ -253,31 +253,31 @@ def homing(machine: Board) -> None:
     machine.pico.record([*STEP, *DIR])
     is_homing = [True]  # empty afterwards
 
-    def follow() -> None:
+    def update_switches() -> None:
         """Set the switches for the motors' positions, every millisecond during homing."""
         for axis in range(3):
             at_steps = sum(sign for _, sign in steps(machine.pico.edges, axis))
             machine.pico.drive(LIMIT[axis], 0 if at_steps >= 250 else 1)
         if is_homing:
-            machine.pico.at_us(1_000, follow)
+            machine.pico.at_us(1_000, update_switches)
 
-    follow()
+    update_switches()
     machine.ask("$H", limit_us=12_000_000)
     is_homing.clear()
     machine.ask("$22=0")
 
 
-def in_arcs(machine: Board, query_ms: float, pin: int, answer: str) -> None:
+def close_input_in_arcs(machine: Board, phase_ms: float, pin: int, answer: str) -> None:
     """Close an input for 3 ms in the middle of arcs, right after a request for the status.
 
-    query_ms: shifts both in time; answer: the text to wait for.
+    phase_ms: shifts both in time; answer: the text to wait for.
     """
     machine.ask("G91 F3000")
-    machine.forget()
+    machine.clear_output()
     machine.send("\n".join(ARCS * 2) + "\n")
-    machine.pico.run_us(40_000 + query_ms * 1000)
+    machine.pico.run_us(40_000 + phase_ms * 1000)
     machine.send("?")
-    machine.pico.run_us(query_ms * 100)
+    machine.pico.run_us(phase_ms * 100)
     machine.pico.drive(pin, 0)
     machine.pico.run_us(3_000)
     machine.pico.drive(pin, 1)
@@ -285,27 +285,27 @@ def in_arcs(machine: Board, query_ms: float, pin: int, answer: str) -> None:
     machine.wait_for(answer)
 
 
-def stops(pin: int, answer: str) -> "Callable[[Board], None]":
+def stop_scenario(pin: int, answer: str) -> "Callable[[Board], None]":
     """Return the scenario of an input that stops the machine, at several phases."""
 
     def scenario(machine: Board) -> None:
         for phase_ms in (2.1, 5.3, 9.7):
-            in_arcs(machine, phase_ms, pin, answer)
+            close_input_in_arcs(machine, phase_ms, pin, answer)
             unlock(machine)
 
     return scenario
 
 
-def held(machine: Board) -> bool:
+def is_held(machine: Board) -> bool:
     return machine.status()["state"] == "Hold:0"
 
 
 def hold_button(machine: Board) -> None:
     """Press the hold button in arcs, at several phases, and resume by the start button."""
     for phase_ms in (2.1, 5.3, 9.7):
-        in_arcs(machine, phase_ms, HOLD, "<Hold")
-        is_held = machine.pico.run_until(lambda: held(machine), 500_000, step_us=10_000)
-        assert is_held, machine.said
+        close_input_in_arcs(machine, phase_ms, HOLD, "<Hold")
+        has_stopped = machine.pico.run_until(lambda: is_held(machine), 500_000, step_us=10_000)
+        assert has_stopped, machine.output
         machine.pico.drive(START, 0)
         machine.pico.run_us(5_000)
         machine.pico.drive(START, 1)
@@ -319,8 +319,8 @@ SCENARIOS: "dict[str, Callable[[Board], None]]" = {
     "jogs": jogs,
     "feed hold": feed_hold,
     "probe": probe,
-    "limit in arcs": stops(LIMIT[0], "Reset to continue"),
-    "reset button in arcs": stops(RESET, "ALARM:3"),
+    "limit in arcs": stop_scenario(LIMIT[0], "Reset to continue"),
+    "reset button in arcs": stop_scenario(RESET, "ALARM:3"),
     "hold button in arcs": hold_button,
     "door": door,
     "homing": homing,
@@ -329,11 +329,11 @@ SCENARIOS: "dict[str, Callable[[Board], None]]" = {
 
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_two_kilobytes_stay_free(machine: Board, stack: Stack, name: str) -> None:
-    """By the watermark, in each scenario."""
-    stack.paint()
+    """By the watermark, in each scenario: a function above that drives the machine."""
+    stack.start_measuring()
     SCENARIOS[name](machine)
-    stack.marks[name] = stack.used()
-    assert stack.marks[name] <= SIZE - RESERVE
+    stack.marks[name] = stack.most_used()
+    assert stack.marks[name] <= STACK_BYTES - RESERVE_BYTES
 
 
 # These once used up the stack within half a second; each has another phase of events.
@@ -344,21 +344,21 @@ def test_two_kilobytes_stay_free_in_streams_of_arcs(
     machine: Board, stack: Stack, feed: int, query_ms: float
 ) -> None:
     """feed: mm/min; query_ms: from one "?" to the next."""
-    stack.paint()
+    stack.start_measuring()
     stream(machine, (f"{ARCS[0]}F{feed}", ARCS[1]), rounds=3, query_ms=query_ms)
-    stack.marks[f"F{feed} ? {query_ms}"] = stack.used()
-    assert stack.used() <= SIZE - RESERVE
+    stack.marks[f"F{feed} ? {query_ms}"] = stack.most_used()
+    assert stack.most_used() <= STACK_BYTES - RESERVE_BYTES
 
 
 def test_firmware_reports_the_stack_use_measured_from_outside(
     machine: Board, stack: Stack
 ) -> None:
     """Both find the same paint; $I+ itself may use a little more."""
-    stack.paint()
+    stack.start_measuring()
     stream(machine, (f"{ARCS[0]}F3000", ARCS[1]), rounds=1, query_ms=23)
     reported = machine.ask("$I+").partition("[MSG:Stack: ")[2]
     used_bytes = int(reported.partition(" of 8192 bytes used]")[0])
-    assert abs(used_bytes - stack.used()) <= 64
+    assert abs(used_bytes - stack.most_used()) <= 64
 
 
 def test_reserve_remains_if_the_deepest_of_all_are_nested(machine: Board, stack: Stack) -> None:
@@ -366,12 +366,12 @@ def test_reserve_remains_if_the_deepest_of_all_are_nested(machine: Board, stack:
     with stack.sampled():
         stream(machine, (f"{ARCS[0]}F3000", ARCS[1]), rounds=1, query_ms=23)
         talk(machine)
-        in_arcs(machine, query_ms=3.1, pin=HOLD, answer="<Hold")
+        close_input_in_arcs(machine, phase_ms=3.1, pin=HOLD, answer="<Hold")
         machine.send("~")
         machine.pico.run_us(5_000)
         for pin, answer in ((LIMIT[0], "Reset to continue"), (RESET, "ALARM:3")):
             unlock(machine)
-            in_arcs(machine, query_ms=3.1, pin=pin, answer=answer)
+            close_input_in_arcs(machine, phase_ms=3.1, pin=pin, answer=answer)
     unlock(machine)
     irqs = dict(stack.irqs)
     assert {TIMER, ENGINE, PIN} <= irqs.keys()
@@ -379,4 +379,4 @@ def test_reserve_remains_if_the_deepest_of_all_are_nested(machine: Board, stack:
     moving = stack.main[True] + irqs[ENGINE]
     idle = max(stack.main[False] + irqs[TIMER], stack.starts)
     deepest = max(moving, idle) + irqs[PIN]
-    assert deepest <= SIZE - _NESTED_RESERVE, (moving, idle, irqs)
+    assert deepest <= STACK_BYTES - _NESTED_RESERVE, (moving, idle, irqs)

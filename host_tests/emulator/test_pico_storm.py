@@ -1,6 +1,6 @@
 """Test storms of edges on inputs of the emulated Pico: steps are on time, the watch acts.
 
-ask() sends a line and returns its answer, forget() clears the board's output, said. Inputs are
+ask() sends a line and returns its answer, clear_output() forgets the output so far. Inputs are
 closed at level 0. Steps are found in the edges recorded at the pins.
 """
 
@@ -51,7 +51,7 @@ def machine(uf2: Path) -> Board:
 @pytest.fixture
 def ready(machine: Board) -> Board:
     """Reset and unlock the machine, whatever its state was, and switch the beam on."""
-    machine.forget()
+    machine.clear_output()
     machine.send("\x18")
     machine.wait_for("Grbl 1.1h")
     for line in ("$X", "$21=0", "M4 S0"):
@@ -73,10 +73,10 @@ class Storm:
         self._end = 0.0
         self.began = 0.0
 
-    def blow(self, delay_us: float, us: float) -> None:
-        """Begin after delay_us and continue for us; the pins are open at the end."""
+    def start(self, delay_us: float, duration_us: float) -> None:
+        """Begin after delay_us and continue for duration_us; the pins are open at the end."""
         self.began = self._pico.us + delay_us
-        self._end = self.began + us
+        self._end = self.began + duration_us
         self._pico.at_us(delay_us, self._turn)
 
     def _turn(self) -> None:
@@ -88,7 +88,7 @@ class Storm:
             self._pico.at_us(self._lasts[self._level], self._turn)
 
 
-def walk(board: Board) -> "list[float]":
+def run_move(board: Board) -> "list[float]":
     """Run MOVE; return the times of its steps, relative to the first, in us."""
     board.ask(MOVE)
     board.until_idle()
@@ -105,9 +105,9 @@ def beam_is_dark(board: Board) -> bool:
 
 
 @pytest.fixture(scope="module")
-def calm(machine: Board) -> "list[float]":
+def calm_steps_us(machine: Board) -> "list[float]":
     machine.ask("M4 S0")
-    return walk(machine)
+    return run_move(machine)
 
 
 STORMED = {"one": (PART,), "all": (PART, DOOR, START, *LIMIT, PROBE)}
@@ -116,13 +116,15 @@ STORMED = {"one": (PART,), "all": (PART, DOOR, START, *LIMIT, PROBE)}
 @pytest.mark.parametrize("edges_us", [20, 25])
 @pytest.mark.parametrize("pins", STORMED.values(), ids=STORMED)
 def test_no_step_is_late_in_a_storm(
-    ready: Board, calm: "list[float]", pins: "tuple[int, ...]", edges_us: int
+    ready: Board, calm_steps_us: "list[float]", pins: "tuple[int, ...]", edges_us: int
 ) -> None:
     """Within 2 us of the times without a storm (calm). edges_us: from edge to edge."""
-    Storm(ready, pins, open_us=edges_us, closed_us=edges_us).blow(40_000, STORM_US)
-    steps_us = walk(ready)
+    Storm(ready, pins, open_us=edges_us, closed_us=edges_us).start(
+        delay_us=40_000, duration_us=STORM_US
+    )
+    steps_us = run_move(ready)
     assert len(steps_us) == STEPS
-    assert max(abs(a - b) for a, b in zip(steps_us, calm)) < 2
+    assert max(abs(a - b) for a, b in zip(steps_us, calm_steps_us)) < 2
     assert beam_is_dark(ready)
 
 
@@ -133,10 +135,10 @@ def test_watch_acts_on_a_hanging_main_loop_in_a_storm(
     """M100 of CUSTOM blocks the main loop for 400 ms: after 250 ms motors and beam are stopped."""
     ready.ask("G91 G1 X20 F1800 S500")
     ready.pico.run_us(30_000)
-    ready.forget()
+    ready.clear_output()
     ready.send("M100\n")
     sent_us = ready.pico.us
-    Storm(ready, pins, open_us=20, closed_us=20).blow(10_000, 260_000)
+    Storm(ready, pins, open_us=20, closed_us=20).start(delay_us=10_000, duration_us=260_000)
     ready.wait_for("ALARM:16")
     last_us = max(edge.ns / 1000 for edge in ready.pico.edges)  # steps, and pulses of the beam
     assert 240_000 <= last_us - sent_us <= 270_000
@@ -148,10 +150,10 @@ def test_limit_in_a_storm_stops_at_its_first_edge(ready: Board) -> None:
     ready.ask("$21=1")
     ready.ask("G91 G1 X20 F1800 S500")
     storm = Storm(ready, LIMIT[:1], open_us=20, closed_us=20)
-    storm.blow(60_000, STORM_US)
+    storm.start(delay_us=60_000, duration_us=STORM_US)
     ready.wait_for("Reset to continue")
     assert max(edge.ns / 1000 for edge in ready.pico.edges) - storm.began <= 300
-    assert "ALARM:1\r\n" in ready.said and beam_is_dark(ready)
+    assert "ALARM:1\r\n" in ready.output and beam_is_dark(ready)
 
 
 @pytest.mark.parametrize(("after_us", "late_us"), [(200, 2_500), (20_000, 0)])
@@ -171,7 +173,7 @@ def test_contact_after_pulses_too_short_to_be_seen_has_its_right_place(
         ready.pico.drive(PROBE, 0)
 
     ready.pico.edges.clear()
-    Storm(ready, (PROBE,), open_us=497, closed_us=3).blow(40_000, STORM_US)
+    Storm(ready, (PROBE,), open_us=497, closed_us=3).start(delay_us=40_000, duration_us=STORM_US)
     ready.pico.at_us(40_000 + STORM_US + after_us, touch)
     said = ready.ask("G91 G38.2 Z-5 F600", limit_us=4_000_000)
     ready.pico.drive(PROBE, 1)

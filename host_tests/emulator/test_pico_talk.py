@@ -9,7 +9,7 @@ from emulated import Board
 pytestmark = pytest.mark.xdist_group("pico talk")
 
 _BOOT_US = 1_500_000  # with stored settings, which make the root of its file system longer
-_HEAP = 85_000
+_HEAP_BYTES = 85_000
 
 
 @pytest.fixture(scope="module")
@@ -43,10 +43,10 @@ machine = power_up.run_machine(power_up.build())
 
 
 def test_eighty_five_kilobytes_of_heap_are_free(machine: Board) -> None:
-    assert free(machine) >= _HEAP
+    assert free_heap_bytes(machine) >= _HEAP_BYTES
 
 
-def free(machine: Board) -> int:
+def free_heap_bytes(machine: Board) -> int:
     """Return the free bytes of its heap."""
     return int(machine.ask("$M").partition("free ")[2].partition(".")[0])
 
@@ -63,7 +63,7 @@ def test_every_setting_is_shown(machine: Board) -> None:
 
 
 def test_lines_are_answered_in_order(machine: Board) -> None:
-    machine.forget()
+    machine.clear_output()
     machine.send("G21\nG99\nG1 X1\n$G\nT1\n")
     said = machine.wait_for("[GC:")
     assert said.split("[GC:")[0] == "ok\r\nerror:20\r\nerror:22\r\n"
@@ -74,11 +74,11 @@ def test_status_report_while_idle_takes_at_most_five_milliseconds(machine: Board
     took_us = []
     for k in range(9):
         machine.pico.run_us(7_300 + 410 * k)
-        machine.forget()
+        machine.clear_output()
         asked_us = machine.pico.us
         machine.send("?")
-        machine.pico.run_until(lambda: ">\r\n" in machine.said, 50_000, step_us=50)
-        assert machine.said.startswith("<Idle|MPos:0.000,0.000,0.000|FS:0,0")
+        machine.pico.run_until(lambda: ">\r\n" in machine.output, 50_000, step_us=50)
+        assert machine.output.startswith("<Idle|MPos:0.000,0.000,0.000|FS:0,0")
         took_us.append(machine.pico.us - asked_us)
     assert median(took_us) <= 5_000 and max(took_us) <= 20_000
 
@@ -93,16 +93,16 @@ def test_ctrl_c_in_the_stream_stops_nothing(machine: Board) -> None:
 
 def test_sender_that_opens_the_port_again_is_welcomed(machine: Board) -> None:
     """Once, between 250 and 350 ms after it has opened the port."""
-    machine.forget()
+    machine.clear_output()
     machine.pico.usb.open_port(False)
     machine.pico.run_us(20_000)
-    assert machine.said == ""
+    assert machine.output == ""
     machine.pico.usb.open_port(True)
     machine.pico.run_us(250_000)
-    assert machine.said == ""  # senders need time to get ready
+    assert machine.output == ""  # senders need time to get ready
     machine.wait_for("Grbl 1.1h ['$' for help]\r\n", 100_000)
     machine.pico.run_us(50_000)
-    assert machine.said.count("Grbl") == 1
+    assert machine.output.count("Grbl") == 1
     assert machine.ask("G90") == "ok\r\n"
 
 
@@ -110,7 +110,7 @@ def test_sender_that_sends_at_once_is_welcomed_before_its_answer(
     machine: Board,
 ) -> None:
     """The delay of the welcome ends with the first line."""
-    machine.forget()
+    machine.clear_output()
     machine.pico.usb.open_port(False)
     machine.pico.run_us(20_000)
     machine.pico.usb.open_port(True)
@@ -128,7 +128,7 @@ def test_settings_survive_a_power_cut_and_the_start_is_fast(machine: Board, uf2:
     second.pico.put_file_system(machine.pico.flash_image())
     second.boot()
     assert second.pico.us < _BOOT_US
-    assert second.said.startswith("\r\nGrbl 1.1h ['$' for help]\r\n")
+    assert second.output.startswith("\r\nGrbl 1.1h ['$' for help]\r\n")
     second.wait_for(">G20:ok\r\n")  # the startup line
     assert "$110=1234.500" in second.ask("$$")
     assert "[G55:-3.250,0.000,0.000]" in second.ask("$#")
@@ -143,7 +143,7 @@ def _prompt_and_back(machine: Board) -> None:
     assert printed == "0 True\r\n"
     printed = machine.python_again("import time\ntime.sleep_ms(5500)\nprint(1 + 1)")
     assert printed == "2\r\n"
-    machine.forget()
+    machine.clear_output()
     machine.send("\x02\x04")  # leave the raw prompt; a soft reset runs main.py
     machine.wait_for(">G20:ok\r\n", 3_000_000)  # the startup line, after the welcome
     assert machine.ask("G90") == "ok\r\n"

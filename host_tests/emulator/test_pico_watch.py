@@ -1,6 +1,6 @@
 """Test the watch on the emulated Pico: hanging main loop, opened port, flash, deaf host.
 
-ask() sends a line and returns its answer, forget() clears the board's output, said. Inputs are
+ask() sends a line and returns its answer, clear_output() forgets the output so far. Inputs are
 closed at level 0. Steps are found in the edges recorded at the pins.
 """
 
@@ -51,15 +51,15 @@ def machine(uf2: Path) -> Board:
     return made
 
 
-def moving(machine: Board) -> None:
+def start_long_move(machine: Board) -> None:
     """Start a long move with the spindle on."""
     machine.ask("M3 S500")
     machine.ask("G91 G1 X20 F500")
     machine.pico.run_us(100_000)
-    machine.forget()
+    machine.clear_output()
 
 
-def last_ms(machine: Board, since_us: float) -> "tuple[float, float]":
+def last_edges_ms(machine: Board, since_us: float) -> "tuple[float, float]":
     """Return the times of the last step and of the last edge of the spindle's PWM, in ms."""
     step = steps(machine.pico.edges, 0)[-1][0]
     pwm = max(e.ns for e in machine.pico.edges if e.pin == SPINDLE_PWM) / 1000
@@ -69,17 +69,17 @@ def last_ms(machine: Board, since_us: float) -> "tuple[float, float]":
 def test_hanging_main_loop_is_stopped_and_reported_when_it_returns(machine: Board) -> None:
     """$BUSY=400, a command added by the fixture, takes 400 ms; motors and spindle stop after
     250 ms, checked every 5 ms."""
-    moving(machine)
+    start_long_move(machine)
     sent_us = machine.pico.us
     machine.send("$BUSY=400\n")
     machine.wait_for("ALARM:16\r\n[MSG:RuntimeErr: the main loop was blocked for ")
     machine.pico.run_us(20_000)
-    for stopped_ms in last_ms(machine, sent_us):
+    for stopped_ms in last_edges_ms(machine, sent_us):
         assert _LIMIT_MS - _BEAT_MS < stopped_ms <= _LIMIT_MS + 2 * _BEAT_MS + 2
-    blocked_ms = int(machine.said.split("blocked for ")[1].split(" ms")[0])
+    blocked_ms = int(machine.output.split("blocked for ")[1].split(" ms")[0])
     assert 400 - 2 * _BEAT_MS <= blocked_ms <= 400 + _BEAT_MS
-    assert machine.said.startswith("ok\r\nALARM:16\r\n")  # the line itself is accepted
-    machine.forget()
+    assert machine.output.startswith("ok\r\nALARM:16\r\n")  # the line itself is accepted
+    machine.clear_output()
     machine.send("\x18")
     machine.wait_for("Grbl 1.1h")
     assert machine.ask("$X").endswith("ok\r\n")
@@ -87,7 +87,7 @@ def test_hanging_main_loop_is_stopped_and_reported_when_it_returns(machine: Boar
 
 def test_machine_works_after_that_alarm_and_a_shorter_delay_is_no_fault(machine: Board) -> None:
     """$BUSY=200, a command added by the fixture, takes 200 ms: less than the limit of 250 ms."""
-    moving(machine)
+    start_long_move(machine)
     machine.ask("$BUSY=200")
     before = len(steps(machine.pico.edges, 0))
     machine.pico.run_us(50_000)
@@ -99,7 +99,7 @@ def test_machine_works_after_that_alarm_and_a_shorter_delay_is_no_fault(machine:
 
 def test_host_that_does_not_read_stops_no_motion(machine: Board) -> None:
     """The answer to $$ does not fit into the buffers; after 900 ms the motor still steps."""
-    moving(machine)
+    start_long_move(machine)
     machine.pico.usb.read(False)
     machine.send("$$\n")
     machine.pico.edges.clear()
@@ -126,39 +126,41 @@ _REOPENED: "dict[str, tuple[list[int | None], list[int | None]]]" = {
 }
 
 
-def opens_again(machine: Board, closing: "list[int | None]", opening: "list[int | None]") -> int:
+def welcomes_after_reopening(
+    machine: Board, closing: "list[int | None]", opening: "list[int | None]"
+) -> int:
     """Close and open the port by these requests (see _REOPENED); return the number of welcomes."""
-    machine.forget()
+    machine.clear_output()
     for requests in (closing, opening):
         for request in requests:
             machine.pico.usb.ask(request)
             machine.pico.run_us(300)  # all within one poll of the firmware
         machine.pico.run_us(20_000)
     machine.pico.run_us(330_000)  # a silent sender is greeted after a delay
-    return machine.said.count("Grbl 1.1h")
+    return machine.output.count("Grbl 1.1h")
 
 
 @pytest.mark.parametrize("system", list(_REOPENED))
 def test_sender_is_welcomed_for_the_requests_of_every_system(machine: Board, system: str) -> None:
-    assert opens_again(machine, *_REOPENED[system]) == 1
+    assert welcomes_after_reopening(machine, *_REOPENED[system]) == 1
     assert machine.ask("G90") == "ok\r\n"
 
 
 def test_sender_that_changes_its_speed_is_not_welcomed_again(machine: Board) -> None:
-    assert opens_again(machine, [None], [3, None]) == 0
+    assert welcomes_after_reopening(machine, [None], [3, None]) == 0
 
 
 def test_sender_that_opens_the_port_in_motion_is_welcomed(machine: Board) -> None:
-    moving(machine)
+    start_long_move(machine)
     # The requests of Linux: DTR low; line coding, DTR and RTS high.
-    assert opens_again(machine, [0], [None, 3]) == 1
+    assert welcomes_after_reopening(machine, [0], [None, 3]) == 1
     assert machine.status()["state"] == "Run"
     machine.send("\x18")
     machine.wait_for("to unlock]")
     machine.ask("$X")
 
 
-def pulses(machine: Board, since_us: float) -> "list[float]":
+def pwm_rises_us(machine: Board, since_us: float) -> "list[float]":
     """Return the times of rising edges of the spindle's PWM, in us."""
     edges = (e for e in machine.pico.edges if e.pin == SPINDLE_PWM and e.level)
     return [e.ns / 1000 for e in edges if e.ns / 1000 > since_us]
@@ -167,7 +169,7 @@ def pulses(machine: Board, since_us: float) -> "list[float]":
 _ERASE_US = 45_000
 
 
-def saves(machine: Board, until: "Callable[[list[float]], bool]") -> "list[float]":
+def save_until(machine: Board, until: "Callable[[list[float]], bool]") -> "list[float]":
     """Save offsets until the condition holds; return the times at which erasures began, in us.
 
     until() is passed these times. Most saves fit into a sector that was erased before.
@@ -176,10 +178,10 @@ def saves(machine: Board, until: "Callable[[list[float]], bool]") -> "list[float
     machine.pico.erase_takes_us(_ERASE_US)
     machine.pico.on_erase = lambda: begins.append(machine.pico.us)
     for x in range(40):
-        machine.forget()
+        machine.clear_output()
         machine.send(f"G10 L2 P1 X{x}\n")
         machine.pico.run_until(
-            lambda: until(begins) or "ok\r\n" in machine.said, 3_000_000, step_us=50
+            lambda: until(begins) or "ok\r\n" in machine.output, 3_000_000, step_us=50
         )
         if until(begins):
             break
@@ -195,13 +197,13 @@ def test_laser_is_off_while_flash_is_written_and_on_again_afterwards(machine: Bo
     machine.until_idle()
     machine.pico.edges.clear()
     machine.pico.run_us(5_000)
-    assert pulses(machine, 0)  # it burns while idle, as M3 requires
-    begins = saves(machine, lambda begins: bool(begins) and "ok\r\n" in machine.said)
+    assert pwm_rises_us(machine, 0)  # it burns while idle, as M3 requires
+    begins = save_until(machine, lambda begins: bool(begins) and "ok\r\n" in machine.output)
     answered_us = machine.pico.us
     machine.pico.run_us(5_000)
     end_us = begins[-1] + _ERASE_US
-    assert not [us for us in pulses(machine, begins[-1] - 500) if us < end_us]
-    assert pulses(machine, answered_us)
+    assert not [us for us in pwm_rises_us(machine, begins[-1] - 500) if us < end_us]
+    assert pwm_rises_us(machine, answered_us)
     machine.ask("M5")
 
 
@@ -209,14 +211,14 @@ def test_events_during_a_flash_erasure_are_handled_afterwards(machine: Board) ->
     """A limit switch with the spindle on, and a byte: late, but not lost."""
     for line in ("$32=0", "$21=1", "M3 S500"):
         machine.ask(line)
-    (begun_us,) = saves(machine, bool)  # until an erasure has begun
+    (begun_us,) = save_until(machine, bool)  # until an erasure has begun
     machine.pico.drive(LIMIT[0], 0)
-    machine.forget()
+    machine.clear_output()
     machine.send("?")
     machine.wait_for("Reset to continue")
     machine.pico.run_us(20_000)
-    assert pulses(machine, begun_us)  # no reaction during the erasure
-    assert pulses(machine, begun_us)[-1] - begun_us < _ERASE_US + 2_000
+    assert pwm_rises_us(machine, begun_us)  # no reaction during the erasure
+    assert pwm_rises_us(machine, begun_us)[-1] - begun_us < _ERASE_US + 2_000
     machine.pico.drive(LIMIT[0], 1)
     machine.pico.erase_takes_us(0)
     machine.send("\x18")
@@ -234,8 +236,8 @@ def test_last_request_shows_an_opened_port_when_control_lines_are_unknown(uf2: P
     machine = Board(uf2, {"main.py": hidden + _MAIN}).boot().settled()
     for closing, opening in _REOPENED.values():
         if closing[-1] == 0:  # otherwise the last request says that it is open
-            assert opens_again(machine, closing, opening) == 1
-    assert opens_again(machine, [None], [3, None]) == 0
+            assert welcomes_after_reopening(machine, closing, opening) == 1
+    assert welcomes_after_reopening(machine, [None], [3, None]) == 0
     assert "slow-reset" not in machine.ask("$I")
 
 
@@ -246,8 +248,8 @@ def test_board_without_the_usb_ring_works_and_reports_a_slow_reset(uf2: Path) ->
     """
     hidden = b"from ports.usb import usb_ring\nusb_ring.find = lambda at, drain, take: None\n"
     machine = Board(uf2, {"main.py": hidden + _MAIN}).boot().settled()
-    assert "[VER:1.1h." in machine.ask("$I") and " slow-reset]" in machine.said
+    assert "[VER:1.1h." in machine.ask("$I") and " slow-reset]" in machine.output
     machine.pico.record([*STEP, SPINDLE_PWM])
-    moving(machine)
+    start_long_move(machine)
     machine.send("$BUSY=400\n")
     machine.wait_for("the main loop was blocked for ")

@@ -38,7 +38,7 @@ class Emulated:
         if not self._is_at_prompt:
             self._board.python("pass")
             self._is_at_prompt = True
-        self._board.forget()
+        self._board.clear_output()
         self._board.send("\x04")
         self._board.wait_for("soft reboot\r\n")
         self._board.wait_for(_RAW)
@@ -61,8 +61,8 @@ class Emulated:
 
         The raw prompt sends "OK", the output, Ctrl-D, the exception and Ctrl-D.
         """
-        self._send(script, lambda: self._board.said.count("\x04") >= 2, seconds)
-        output, exception, _ = self._board.said.removeprefix("OK").split("\x04", 2)
+        self._send(script, lambda: self._board.output.count("\x04") >= 2, seconds)
+        output, exception, _ = self._board.output.removeprefix("OK").split("\x04", 2)
         for line in output.split("\r\n"):
             heard(line)
         return exception
@@ -71,19 +71,20 @@ class Emulated:
         """Run a script that hangs; return whether the watchdog restarts the board."""
 
         def is_back() -> bool:
-            return "Grbl 1.1h" in self._board.said.partition("= hang")[2]
+            return "Grbl 1.1h" in self._board.output.partition("= hang")[2]
 
         self._send(script, is_back, seconds)
-        for line in self._board.said.split("\r\n"):
+        for line in self._board.output.split("\r\n"):
             heard(line)
         return is_back()
 
     def start(self) -> None:
+        """Leave the prompt and start the firmware, by a soft reset."""
         self._board.send("\x02\x04")
 
     def _send(self, script: str, done: "Callable[[], bool]", seconds: float) -> None:
         """Send a script to the raw prompt; run until done() holds or the time is over."""
-        self._board.forget()
+        self._board.clear_output()
         self._board.send(script + "\x04")
         self._board.pico.run_until(done, min(seconds, _MOST_S) * 1e6, _PIECE_US)
 

@@ -41,7 +41,7 @@ def test_dragged_file_starts_with_firmware_settings_and_custom_module(
     firmware = for_board(BOARD_FILE).files
     assert {name: files[name] for name in firmware} == firmware
     board.boot()
-    assert "First start" not in board.said
+    assert "First start" not in board.output
     assert "$110=4321" in board.ask("$$")
     assert "[MSG:hello]" in board.ask("M100")
     board.ask("G91G1X1F1000")

@@ -20,8 +20,8 @@ from ugrbl.run.program import ProgramLink
 # How far a position may be off, in addition to half a step: a fraction of the radius (an angle in
 # single precision leaves that open over a circle); a fraction of the distance from 0 (rounding to
 # single precision); and some units of the course.
-_TURN = 6e-7
-_ROUNDED = 2.0**-24
+_OF_RADIUS = 6e-7
+_OF_DISTANCE = 2.0**-24
 _UNITS = 16 * 2.0**-29
 
 PLANES = ((0, 1), (2, 0), (1, 2))  # the axes of G17, G18, G19
@@ -30,8 +30,8 @@ tolerances = st.sampled_from([0.002, 0.00005, 0.1])
 planes = st.sampled_from(PLANES)
 
 
-class Way(NamedTuple):
-    """An arc in doubles. sweep: in radians; shift: travel of the axes outside the plane."""
+class ArcCase(NamedTuple):
+    """An arc in doubles. sweep: in radians; shift: travel of the axes outside the plane, in mm."""
 
     radius: float
     begin: float
@@ -46,20 +46,19 @@ class Way(NamedTuple):
 class Course:
     """The course of an arc: its computed positions, and the exact ones."""
 
-    def __init__(self, way: Way, tolerance: float) -> None:
-        """Lay the arc as the firmware does. tolerance: of chords, in mm; left: chords but the
-        last."""
-        self.axes = 2 + len(way.shift)
-        reach_mm = 2 * max(map(abs, (*way.centre, *way.shift, way.radius))) + way.radius
+    def __init__(self, case: ArcCase, tolerance: float) -> None:
+        """Divide the arc into chords as the firmware does. tolerance: of chords, in mm."""
+        self.axes = 2 + len(case.shift)
+        reach_mm = 2 * max(map(abs, (*case.centre, *case.shift, case.radius))) + case.radius
         # steps/mm of X: high, but positions stay within the range of a course
         steps = min(1e6 / reach_mm, 1e7)
         self._steps_per_mm = array("f", [steps] * self.axes)
-        for i, times in enumerate(way.steps, 1):
+        for i, times in enumerate(case.steps, 1):
             self._steps_per_mm[i] *= times
         self._start, self._target = vector(self.axes), vector(self.axes)
         self._arc = arc = Arc()
-        arc.plane[:] = array("i", (*way.plane, way.clockwise))
-        self._centre = self._lay_ends(way)
+        arc.plane[:] = array("i", (*case.plane, case.clockwise))
+        self._centre = self._lay_ends(case)
         for i, number in zip((CENTRE_0, CENTRE_1, RADIUS), (*self._centre, hypot(*self._centre))):
             arc.numbers[i] = number
         self._course = array("i", [0] * arcs.course_length(self.axes))
@@ -67,31 +66,31 @@ class Course:
             arcs.limit(self._course, i, -arcs.FARTHEST, arcs.FARTHEST)
         arcs.stray(self._course, tolerance)
         self.chords = arc.lay(self._start, self._target, self._steps_per_mm, self._course)
-        self.left = self._course[arcs.CHORDS_LEFT]
+        self.chords_before_last = self._course[arcs.CHORDS_LEFT]
 
-    def _lay_ends(self, way: Way) -> "tuple[float, float]":
+    def _lay_ends(self, case: ArcCase) -> "tuple[float, float]":
         """Set start and target in mm; return the centre relative to the start."""
-        first, second = way.plane
-        sweep = -way.sweep if way.clockwise else way.sweep
-        for ends, angle in ((self._start, way.begin), (self._target, way.begin + sweep)):
-            ends[first] = way.centre[0] + way.radius * cos(angle)
-            ends[second] = way.centre[1] + way.radius * sin(angle)
-        if way.sweep > 2 * pi - 1e-3:  # a full circle: exactly the same position
+        first, second = case.plane
+        sweep = -case.sweep if case.clockwise else case.sweep
+        for ends, angle in ((self._start, case.begin), (self._target, case.begin + sweep)):
+            ends[first] = case.centre[0] + case.radius * cos(angle)
+            ends[second] = case.centre[1] + case.radius * sin(angle)
+        if case.sweep > 2 * pi - 1e-3:  # a full circle: exactly the same position
             self._target[:] = self._start
-        for i, shift in zip(self.others(), way.shift, strict=True):
+        for i, shift in zip(self.others(), case.shift, strict=True):
             self._target[i] = self._start[i] + shift
-        centre, start = way.centre, self._start
+        centre, start = case.centre, self._start
         return f32(centre[0] - start[first]), f32(centre[1] - start[second])
 
     def others(self) -> "list[int]":
         """Return the axes that are not in the plane."""
         return [i for i in range(self.axes) if i not in self._arc.plane[:2]]
 
-    def made(self) -> "Iterator[list[float]]":
+    def computed(self) -> "Iterator[list[float]]":
         """Yield where chords end, except the last, in mm."""
         table = array("i", [0] * layout.table_length(self.axes, self.axes))
         table[layout.AXES] = self.axes
-        for _ in range(self.left):
+        for _ in range(self.chords_before_last):
             assert arcs.advance(self._course, table) == 0
             steps = table[layout.LIMITS + layout.TARGET * self.axes :][: self.axes]
             per_mm = self._steps_per_mm
@@ -120,10 +119,16 @@ class Course:
     def check(self) -> None:
         """Check that each position is within the tolerances at the top of the module."""
         reach = 5 * self._arc.numbers[RADIUS] + sum(map(abs, [*self._start, *self._target]))
-        allowed = _TURN * self._arc.numbers[RADIUS] + _ROUNDED * reach + _UNITS * (1 + reach)
-        most = [allowed + 0.5 / steps for steps in self._steps_per_mm]  # half a step of rounding
-        for made, exact in zip(self.made(), self.exact(), strict=True):
-            assert all(abs(m - e) <= a for m, e, a in zip(made, exact, most, strict=True))
+        allowed = (
+            _OF_RADIUS * self._arc.numbers[RADIUS] + _OF_DISTANCE * reach + _UNITS * (1 + reach)
+        )
+        allowed_mm = [
+            allowed + 0.5 / steps for steps in self._steps_per_mm
+        ]  # half a step of rounding
+        for computed, exact in zip(self.computed(), self.exact(), strict=True):
+            assert all(
+                abs(m - e) <= a for m, e, a in zip(computed, exact, allowed_mm, strict=True)
+            )
 
 
 # Where chords end
@@ -136,7 +141,7 @@ def test_chords_of_a_circle_end_on_it(
     radius: float, clockwise: bool, plane: "tuple[int, int, int]"
 ) -> None:
     """A helix of one turn, about a centre away from 0."""
-    way = Way(
+    case = ArcCase(
         radius,
         begin=0.7,
         sweep=2 * pi,
@@ -145,21 +150,21 @@ def test_chords_of_a_circle_end_on_it(
         plane=plane,
         clockwise=clockwise,
     )
-    course = Course(way, tolerance=0.002)
-    assert course.chords >= 3 and course.left == course.chords - 1
+    course = Course(case, tolerance=0.002)
+    assert course.chords >= 3 and course.chords_before_last == course.chords - 1
     course.check()
 
 
 @pytest.mark.parametrize("clockwise", [False, True])
 def test_the_error_does_not_grow_with_the_number_of_chords(clockwise: bool) -> None:
-    way = Way(radius=400.0, begin=2.0, sweep=2 * pi, clockwise=clockwise)
-    course = Course(way, tolerance=1e-6)  # mm
+    case = ArcCase(radius=400.0, begin=2.0, sweep=2 * pi, clockwise=clockwise)
+    course = Course(case, tolerance=1e-6)  # mm
     assert course.chords > 44_000
     course.check()
 
 
-ways = st.builds(
-    Way,
+arc_cases = st.builds(
+    ArcCase,
     st.floats(-2, 3).map(lambda power: 10.0**power),
     st.floats(0, 2 * pi),
     st.floats(0.01, 6.28),
@@ -172,21 +177,21 @@ ways = st.builds(
 
 
 @some(60)
-@given(ways, tolerances)
-@example(Way(0.00201, 0.0, 2 * pi), 0.002)
-@example(Way(0.00101, 0.3, 5.99), 0.002)
-def test_positions_on_any_arc_match_doubles(way: Way, tolerance: float) -> None:
-    Course(way, tolerance).check()
+@given(arc_cases, tolerances)
+@example(ArcCase(0.00201, 0.0, 2 * pi), 0.002)
+@example(ArcCase(0.00101, 0.3, 5.99), 0.002)
+def test_positions_on_any_arc_match_doubles(case: ArcCase, tolerance: float) -> None:
+    Course(case, tolerance).check()
 
 
-@pytest.mark.parametrize("far", [1e7, 3e38, float("inf"), float("nan")])
-def test_an_arc_beyond_the_range_of_units_is_one_line(far: float) -> None:
-    """far: the target of the axis outside the plane, in mm. 0 chords: a line to the target."""
+@pytest.mark.parametrize("far_mm", [1e7, 3e38, float("inf"), float("nan")])
+def test_an_arc_beyond_the_range_of_units_is_one_line(far_mm: float) -> None:
+    """far_mm: the target of the axis outside the plane. 0 chords: a line to the target."""
     arc = Arc()
     arc.numbers[CENTRE_0] = arc.numbers[RADIUS] = 5.0
     course = array("i", [0] * arcs.course_length(3))
     steps_per_mm = array("f", (250, 250, 250))
-    assert arc.lay(vector(3), array("f", (10, 0, far)), steps_per_mm, course) == 0
+    assert arc.lay(vector(3), array("f", (10, 0, far_mm)), steps_per_mm, course) == 0
     assert course[arcs.CHORDS_LEFT] == 0
 
 
@@ -196,10 +201,10 @@ def test_an_arc_beyond_the_range_of_units_is_one_line(far: float) -> None:
 class Bench:
     """A machine that plans and never moves: the wait for space takes blocks out of its ring.
 
-    takes: how many at a time; changed: settings. blocks: signed steps of each block taken out.
+    blocks_per_wait: how many at a time; changed: settings. blocks: signed steps of each block.
     """
 
-    def __init__(self, takes: int = 15, axes: int = 3, **changed: float) -> None:
+    def __init__(self, blocks_per_wait: int = 15, axes: int = 3, **changed: float) -> None:
         rig = machine.build("sim", lambda rig: ProgramLink(rig, lambda _: iter(())), axes=axes)
         self.machine = made = wiring.build(rig.board, rig.link, rig.port, rig.engine, rig.store)
         made.settings.load()
@@ -209,9 +214,9 @@ class Bench:
         made.canon.configure()
         made.planner.override()
         made.canon.service = self._service
-        self._takes = takes
+        self._blocks_per_wait = blocks_per_wait
         self.blocks: "list[list[int]]" = []
-        self.each: "list[int]" = []  # blocks planned between two services
+        self.chords_per_service: "list[int]" = []  # blocks planned since the link was last served
         self._seen = 0
 
     def _service(self) -> None:
@@ -220,9 +225,9 @@ class Bench:
         planner = self.machine.planner
         flow = planner.flow
         queued = (flow[layout.HEAD] - flow[layout.TAIL]) % flow[layout.ROWS]
-        self.each.append(len(self.blocks) + queued - self._seen)
+        self.chords_per_service.append(len(self.blocks) + queued - self._seen)
         self._seen = len(self.blocks) + queued
-        for _ in range(self._takes if planner.full() else 0):
+        for _ in range(self._blocks_per_wait if planner.full() else 0):
             self._take()
 
     def _take(self) -> None:
@@ -236,7 +241,7 @@ class Bench:
             self.blocks.append([-n if dirs >> i & 1 else n for i, n in enumerate(steps)])
             flow[layout.TAIL] = (flow[layout.TAIL] + 1) % flow[layout.ROWS]
 
-    def tell(self, *lines: str) -> "Bench":
+    def run_lines(self, *lines: str) -> "Bench":
         """Execute lines and take out everything planned."""
         for text in lines:
             self.machine.interpreter.execute(bytearray(text.encode() + b"\0"), len(text))
@@ -244,8 +249,8 @@ class Bench:
             self._take()
         return self
 
-    def place(self) -> "list[int]":
-        """Return where the blocks lead, in steps from the start."""
+    def end_steps(self) -> "list[int]":
+        """Return the position after all blocks, in steps from the start."""
         return [sum(steps) for steps in zip(*self.blocks, strict=True)]
 
 
@@ -253,44 +258,47 @@ class Bench:
 def test_the_last_chord_ends_at_the_target(text: str) -> None:
     """A line to the same target makes the same steps."""
     arc_bench, line_bench = Bench(), Bench()
-    arc_bench.tell("G1F500X0.111Y0.222", text)
+    arc_bench.run_lines("G1F500X0.111Y0.222", text)
     target = list(arc_bench.machine.modes.position)
     assert len(arc_bench.blocks) > 5
-    line_bench.tell("G1F500X%.9gY%.9gZ%.9g" % tuple(target))
-    assert arc_bench.place() == line_bench.place()
+    line_bench.run_lines("G1F500X%.9gY%.9gZ%.9g" % tuple(target))
+    assert arc_bench.end_steps() == line_bench.end_steps()
 
 
-@pytest.mark.parametrize("takes", [1, 2, 15])
-def test_a_chord_that_has_to_wait_is_not_lost(takes: int) -> None:
+@pytest.mark.parametrize("blocks_per_wait", [1, 2, 15])
+def test_a_chord_that_has_to_wait_is_not_lost(blocks_per_wait: int) -> None:
     lines = ("F500", "G3X-2Y0Z1I-1", "G2X0R2")
-    assert Bench(takes=takes).tell(*lines).blocks == Bench(takes=7).tell(*lines).blocks
+    assert (
+        Bench(blocks_per_wait=blocks_per_wait).run_lines(*lines).blocks
+        == Bench(blocks_per_wait=7).run_lines(*lines).blocks
+    )
 
 
 def test_the_link_is_served_every_eight_chords() -> None:
-    bench = Bench().tell("F500", "G3X0I-20")  # a circle of 20 mm radius
+    bench = Bench().run_lines("F500", "G3X0I-20")  # a circle of 20 mm radius
     assert len(bench.blocks) > 200
-    assert max(bench.each) == 8  # chords between two services
+    assert max(bench.chords_per_service) == 8  # chords between two services
 
 
 def test_check_mode_serves_the_link_as_often_and_plans_nothing() -> None:
     bench = Bench(soft_limits=1)
     bench.machine.state.enter(run.CHECK)
-    bench.tell("F500", "G1X-10Y-50", "G3X-10I-20")
+    bench.run_lines("F500", "G1X-10Y-50", "G3X-10I-20")
     assert not bench.blocks
-    assert len(bench.each) > 25  # 200 chords / 8
+    assert len(bench.chords_per_service) > 25  # 200 chords / 8
 
 
 def test_check_mode_skips_chords_if_there_are_no_soft_limits() -> None:
     """Only soft limits need the chords: without them an arc is just a new position."""
     bench = Bench()
     bench.machine.state.enter(run.CHECK)
-    bench.tell("F500", "G1X-10Y-50", "G3X30I20")
-    assert not bench.blocks and not bench.each
+    bench.run_lines("F500", "G1X-10Y-50", "G3X30I20")
+    assert not bench.blocks and not bench.chords_per_service
     assert list(bench.machine.modes.position) == [30, -50, 0]
 
 
 def test_a_fourth_axis_moves_evenly_along_an_arc() -> None:
-    bench = Bench(axes=4).tell("F500", "G1A5", "G3X0I-2A6")
+    bench = Bench(axes=4).run_lines("F500", "G1A5", "G3X0I-2A6")
     steps_of_a = [steps[3] for steps in bench.blocks[1:]]  # without the line G1A5
     assert len(steps_of_a) > 20
     assert max(steps_of_a) - min(steps_of_a) <= 1
@@ -298,7 +306,7 @@ def test_a_fourth_axis_moves_evenly_along_an_arc() -> None:
 
 def test_the_time_of_an_inverse_time_arc_is_divided_among_chords() -> None:
     bench = Bench()
-    bench.tell("G93", "G3X-4I-2F2")
+    bench.run_lines("G93", "G3X-4I-2F2")
     # F2: the arc twice a minute; of n chords each one n times as often
     assert abs(bench.machine.planner._feed[0] - 2 * len(bench.blocks)) < 0.001
 
@@ -311,14 +319,14 @@ def test_a_spindle_override_applies_from_the_next_chords() -> None:
     def override_at_20() -> None:
         """Serve the link; the 20th time, override the spindle to 50 %. Note the power planned."""
         service()
-        if len(bench.each) == 20:
+        if len(bench.chords_per_service) == 20:
             bench.machine.state.override_spindle(50)
             bench.machine.state.invalidate_lines()
         newest_row = (planner.flow[layout.HEAD] - 1) % planner.flow[layout.ROWS]
         powers.append(planner.ring[newest_row * planner.flow[layout.ROW_SIZE] + layout.POWER])
 
     bench.machine.canon.service = override_at_20
-    bench.tell("F500M3S500", "G3X0I-20")
+    bench.run_lines("F500M3S500", "G3X0I-20")
     assert set(powers[1:20]) == {128} and set(powers[20:]) == {64}  # half of 255, and half of that
 
 
@@ -328,5 +336,5 @@ def test_laser_power_is_set_if_chords_have_no_steps() -> None:
     speeds_set: "list[float]" = []
     canon = bench.machine.canon
     canon.spin = lambda direction, rpm: speeds_set.append(rpm)  # type: ignore[method-assign]
-    bench.tell("F500M3S500", "G3X0I-0.01")
+    bench.run_lines("F500M3S500", "G3X0I-0.01")
     assert 500.0 in speeds_set

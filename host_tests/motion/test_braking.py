@@ -26,7 +26,9 @@ engines = pytest.mark.parametrize("engine", ENGINES)
 FASTEST_HZ = 500_000
 
 
-def bench(engine: str, hz: float, steps_per_mm: float, ramp_s: float, jerk_s: float = 0) -> Bench:
+def make_bench(
+    engine: str, hz: float, steps_per_mm: float, ramp_s: float, jerk_s: float = 0
+) -> Bench:
     """Return a bench that reaches hz steps/s in ramp_s. jerk_s: duration of the rise and fall of
     acceleration; 0: no jerk limit."""
     mm_s = hz / steps_per_mm
@@ -38,17 +40,17 @@ def bench(engine: str, hz: float, steps_per_mm: float, ramp_s: float, jerk_s: fl
     return Bench(limits, 16, *ENGINES[engine])
 
 
-def check(made: Bench) -> "list[Piece]":
+def check(bench: Bench) -> "list[Piece]":
     """Check all laws except those about each pulse; return the last piece of each block."""
-    made.planner.catch_up()
-    check_plan(made.watch)
-    made.finish()
-    assert made.planner.empty()
-    check_segments(made.watch)
-    return [piece for piece in made.watch.pieces if piece.ends_block]
+    bench.planner.catch_up()
+    check_plan(bench.watch)
+    bench.finish()
+    assert bench.planner.empty()
+    check_segments(bench.watch)
+    return [piece for piece in bench.watch.pieces if piece.ends_block]
 
 
-def hardest(made: Bench) -> float:
+def hardest_braking(bench: Bench) -> float:
     """Return the largest deceleration between rows, as a fraction of the axes' limit.
 
     The effect of braking within a small fraction of a step is subtracted: at 1 kHz a row of 2 ms
@@ -58,14 +60,14 @@ def hardest(made: Bench) -> float:
         (before.speed - after.speed - after.block.braked(STEP_PART))
         / after.time
         / after.block.acceleration
-        for before, after in pairwise(made.watch.pieces)
+        for before, after in pairwise(bench.watch.pieces)
         if after.time > 5e-4
     ]
     return max(rates, default=0.0)
 
 
 # Travel as a fraction of the ramps' length, and feed rates as a fraction of the highest.
-ways = st.lists(
+travels_and_feeds = st.lists(
     st.tuples(
         st.floats(0.02, 1.7) | st.floats(-1.7, -0.02),
         st.just(0.0) | st.floats(0.02, 1.0),
@@ -75,9 +77,9 @@ ways = st.lists(
 )
 
 
-def any_bench(engine: str, data: Any, jerk_s: float = 0) -> Bench:
+def any_moves(engine: str, data: Any, jerk_s: float = 0) -> Bench:
     """Draw a bench with moves. Rates of 1-10 kHz are as likely as rates of 50-500 kHz."""
-    made = bench(
+    bench = make_bench(
         engine,
         10 ** data.draw(st.floats(3, 5.699)),  # steps/s: 1 to 500 kHz
         data.draw(st.sampled_from([26.667, 80.0, 400.0, 1600.0])),  # steps/mm
@@ -85,21 +87,21 @@ def any_bench(engine: str, data: Any, jerk_s: float = 0) -> Bench:
         jerk_s,
     )
     # both ramps, to the speed and back
-    full_mm = made.limits.speed(0) ** 2 / made.limits.acceleration[0]
+    full_mm = bench.limits.speed(0) ** 2 / bench.limits.acceleration[0]
     place = 0.0
-    for travel, feed in data.draw(ways):
+    for travel, feed in data.draw(travels_and_feeds):
         place += travel * full_mm
-        made.line((place, place / 3, 0), feed * made.limits.rate[0])
-    return made
+        bench.line((place, place / 3, 0), feed * bench.limits.rate[0])
+    return bench
 
 
 @engines
 @some(8)
 @given(st.data())
 def test_moves_of_any_length_brake_in_time(engine: str, data: Any) -> None:
-    made = any_bench(engine, data)
-    check(made)
-    assert hardest(made) <= 1.08  # a sixteenth, and integer rounding
+    bench = any_moves(engine, data)
+    check(bench)
+    assert hardest_braking(bench) <= 1.08  # a sixteenth, and integer rounding
 
 
 @engines
@@ -108,7 +110,7 @@ def test_moves_of_any_length_brake_in_time(engine: str, data: Any) -> None:
 def test_moves_of_any_length_brake_in_time_with_jerk_limited(
     engine: str, data: Any, jerk_s: float
 ) -> None:
-    check(any_bench(engine, data, jerk_s))
+    check(any_moves(engine, data, jerk_s))
 
 
 @engines
@@ -117,13 +119,13 @@ def test_moves_of_any_length_brake_in_time_with_jerk_limited(
 def test_a_move_ends_at_rest_with_a_full_ramp(engine: str, khz: int, part: float) -> None:
     """part: length of the move, relative to that of both ramps; below 1 it never reaches its
     speed."""
-    made = bench(engine, khz * 1000, 1600.0, 0.3)
-    travel_mm = part * made.limits.speed(0) ** 2 / made.limits.acceleration[0]
-    made.line((travel_mm, 0, 0))
-    check(made)
-    assert hardest(made) <= 1.01
+    bench = make_bench(engine, khz * 1000, 1600.0, 0.3)
+    travel_mm = part * bench.limits.speed(0) ** 2 / bench.limits.acceleration[0]
+    bench.line((travel_mm, 0, 0))
+    check(bench)
+    assert hardest_braking(bench) <= 1.01
     # v**2 = 2 a s: a shorter move reaches the root of the part
-    reached = max(piece.mean for piece in made.watch.pieces) / made.limits.speed(0)
+    reached = max(piece.mean for piece in bench.watch.pieces) / bench.limits.speed(0)
     assert reached == pytest.approx(min(part**0.5, 1.0), abs=0.03)
 
 
@@ -135,36 +137,36 @@ def test_a_move_ends_at_the_planned_speed_with_jerk_limited(
 ) -> None:
     """A move at a tenth of the speed follows. part: length, relative to both ramps without jerk
     limit."""
-    made = bench(engine, khz * 1000, steps_per_mm=1600.0, ramp_s=0.2, jerk_s=0.05)
-    travel_mm = part * made.limits.speed(0) ** 2 / made.limits.acceleration[0]
-    made.line((travel_mm, 0, 0))
-    made.line((travel_mm * 1.2, 0, 0), made.limits.rate[0] / 10)
-    check(made)
+    bench = make_bench(engine, khz * 1000, steps_per_mm=1600.0, ramp_s=0.2, jerk_s=0.05)
+    travel_mm = part * bench.limits.speed(0) ** 2 / bench.limits.acceleration[0]
+    bench.line((travel_mm, 0, 0))
+    bench.line((travel_mm * 1.2, 0, 0), bench.limits.rate[0] / 10)
+    check(bench)
 
 
 def test_millions_of_steps_of_braking_end_at_rest() -> None:
     """The braking distance is known to 2**-13, more than the last steps can correct."""
-    made = bench("pio", FASTEST_HZ, steps_per_mm=1600.0, ramp_s=12.0)
-    made.line((2400.0, 0, 0))
-    check(made)
-    assert hardest(made) <= 1.01
+    bench = make_bench("pio", FASTEST_HZ, steps_per_mm=1600.0, ramp_s=12.0)
+    bench.line((2400.0, 0, 0))
+    check(bench)
+    assert hardest_braking(bench) <= 1.01
 
 
 @engines
 def test_a_hold_and_the_remaining_distance_brake_in_time(engine: str) -> None:
-    made = bench(engine, 300_000, steps_per_mm=400.0, ramp_s=0.3)
-    made.line((300.0, 40.0, 0))
-    made.line((0.0, 0.0, 0))
-    made.pull(25)  # segments: into the first ramp
-    made.hold()  # and resume
-    check(made)
+    bench = make_bench(engine, 300_000, steps_per_mm=400.0, ramp_s=0.3)
+    bench.line((300.0, 40.0, 0))
+    bench.line((0.0, 0.0, 0))
+    bench.pull(25)  # segments: into the first ramp
+    bench.hold()  # and resume
+    check(bench)
 
 
 # The programs that once failed: $100=1600 $110=6000 $120=300; mm/s at the end of each line.
 
 
 @pytest.mark.parametrize(
-    ("lines", "ends"),
+    ("lines", "end_speeds"),
     [
         ([(32.0, 6000)], [0.0]),
         ([(32.0, 6000), (0.0, 6000)], [0.0, 0.0]),
@@ -172,22 +174,24 @@ def test_a_hold_and_the_remaining_distance_brake_in_time(engine: str) -> None:
     ],
     ids=["ended at 16.8", "turned round at 16.8", "went on at 19.1"],
 )
-def test_a_triangle_profile_of_160_khz_ends_at_the_planned_speed(lines: Any, ends: Any) -> None:
-    """lines: position in mm and feed in mm/min; ends: speed at the end of each, mm/s."""
-    made = Bench(Limits((1600.0,) * 3, (6000.0,) * 3, (300.0,) * 3, step_hz=FASTEST_HZ))
+def test_a_triangle_profile_of_160_khz_ends_at_the_planned_speed(
+    lines: Any, end_speeds: Any
+) -> None:
+    """lines: position in mm and feed in mm/min; end_speeds: at the end of each, mm/s."""
+    bench = Bench(Limits((1600.0,) * 3, (6000.0,) * 3, (300.0,) * 3, step_hz=FASTEST_HZ))
     for place, feed in lines:
-        made.line((place, 0, 0), feed)
-    last_pieces = check(made)
-    assert [piece.speed for piece in last_pieces] == pytest.approx(ends, abs=0.02)
-    assert all(piece.mean <= end + 0.4 for piece, end in zip(last_pieces, ends, strict=True))
+        bench.line((place, 0, 0), feed)
+    last_pieces = check(bench)
+    assert [piece.speed for piece in last_pieces] == pytest.approx(end_speeds, abs=0.02)
+    assert all(piece.mean <= end + 0.4 for piece, end in zip(last_pieces, end_speeds, strict=True))
 
 
 @pytest.mark.parametrize("travel_mm", [44.0, 52.5, 61.0, 80.0, 93.7, 105.0])
 def test_a_triangle_profile_of_fewer_steps_per_mm_ends_at_rest(travel_mm: float) -> None:
     """$100=400 $110=20000 $120=1000 once ended at up to 32 mm/s."""
-    made = Bench(Limits((400.0,) * 3, (20_000.0,) * 3, (1000.0,) * 3, step_hz=FASTEST_HZ))
-    made.line((travel_mm, 0, 0), 20_000)
-    assert check(made)[-1].mean <= 1.5
+    bench = Bench(Limits((400.0,) * 3, (20_000.0,) * 3, (1000.0,) * 3, step_hz=FASTEST_HZ))
+    bench.line((travel_mm, 0, 0), 20_000)
+    assert check(bench)[-1].mean <= 1.5
 
 
 def test_the_whole_machine_ends_a_triangle_profile_of_160_khz_at_rest() -> None:

@@ -22,7 +22,7 @@ PLANES = {"G17": "XYIJ", "G18": "ZXKI", "G19": "YZJK"}
 _NEAR_MM = 0.6  # largest error of an arc's end, and a margin
 
 
-def run(*lines: str) -> Result:
+def simulate(*lines: str) -> Result:
     """Run a program on the simulator, without an error; return the result."""
     result, _ = run_program(split_lines("\n".join(lines).encode()), settings=("$110=60000",))
     assert not result.errors and not result.stopped, result
@@ -50,25 +50,27 @@ def in_plane(plane: str, line: str) -> str:
 )
 def test_an_arc_with_close_ends_takes_the_short_way(plane: str, begin: str, arc: str) -> None:
     """The other way is a whole circle of 20 to 30 m radius: 120 m and more."""
-    result = run(f"G21 G90 {plane}", in_plane(plane, f"G1 {begin} F60000"), in_plane(plane, arc))
-    without_arc = run(f"G21 G90 {plane}", in_plane(plane, f"G1 {begin} F60000"))
+    result = simulate(
+        f"G21 G90 {plane}", in_plane(plane, f"G1 {begin} F60000"), in_plane(plane, arc)
+    )
+    without_arc = simulate(f"G21 G90 {plane}", in_plane(plane, f"G1 {begin} F60000"))
     assert result.totals.distance_mm - without_arc.totals.distance_mm < 0.03
 
 
 def test_a_helix_with_close_ends_is_short() -> None:
-    assert run("G21 G90", "G3 X0 Y-0.01 Z-2 I30000 J0 F60000").totals.distance_mm < 2.01
+    assert simulate("G21 G90", "G3 X0 Y-0.01 Z-2 I30000 J0 F60000").totals.distance_mm < 2.01
 
 
 @pytest.mark.parametrize("arc", ["G2 X0 I5", "G3 Y0 J-5", "G3 X0 Y0 I5", "G2 X0 Y0 Z-1 I3 J4"])
 def test_an_arc_with_equal_ends_is_a_full_circle(arc: str) -> None:
-    result = run("G21 G90", f"{arc} F6000")
+    result = simulate("G21 G90", f"{arc} F6000")
     # all have a radius of 5 mm
     assert result.totals.distance_mm == pytest.approx(10 * pi, rel=0.02)
 
 
 def test_ends_equal_after_rounding_are_a_full_circle() -> None:
     """A position reached in G91 and the same position in G90: rounding is no distance."""
-    result = run("G21 G91 F6000", *["G1 X0.1 Y0.1"] * 30, "G90 G2 X3 Y3 I-5 J0", "G1 X0 Y0")
+    result = simulate("G21 G91 F6000", *["G1 X0.1 Y0.1"] * 30, "G90 G2 X3 Y3 I-5 J0", "G1 X0 Y0")
     # the circle, there and back
     assert result.totals.distance_mm == pytest.approx(10 * pi + 2 * hypot(3, 3), rel=0.02)
 
@@ -89,13 +91,18 @@ def decimals(low: float, high: float, digits: int = 4) -> "st.SearchStrategy[Fra
 
 
 coordinates = st.one_of(decimals(-10, 10), decimals(-1000, 1000))
-nears = st.one_of(decimals(-0.01, 0.01), decimals(-_NEAR_MM, _NEAR_MM))
+close_coordinates = st.one_of(decimals(-0.01, 0.01), decimals(-_NEAR_MM, _NEAR_MM))
 centres = st.one_of(decimals(-10, 10), decimals(-1000, 1000), decimals(-1e6, 1e6, 0))
 pairs = st.tuples(coordinates, coordinates)
 
 
 @some(200)
-@given(pairs, st.tuples(nears, nears), st.tuples(centres, centres), st.booleans())
+@given(
+    pairs,
+    st.tuples(close_coordinates, close_coordinates),
+    st.tuples(centres, centres),
+    st.booleans(),
+)
 @example(
     (Fraction("-26.4249"), Fraction("49.0743")),
     (Fraction("-0.0103"), Fraction("-0.0101")),
@@ -169,8 +176,8 @@ def test_run_send_and_page_show_the_warning(tmp_path: Path) -> None:
     """The output of `ugrbl run`, the check before sending, and the preview of the page."""
     program = "G21 G90\nG2 X0 Y-0.01 I10 F6000\n"
     (tmp_path / "part.nc").write_text(program)
-    said = CliRunner().invoke(app, ["run", str(tmp_path / "part.nc"), "--check"]).output
-    assert "line 2: a whole circle of 10 mm radius" in said
+    output = CliRunner().invoke(app, ["run", str(tmp_path / "part.nc"), "--check"]).output
+    assert "line 2: a whole circle of 10 mm radius" in output
     checked, _ = rehearsal.check(rehearsal.Job(program.encode().splitlines(), []))
     assert [line for line, _ in checked.wide_arcs] == [2]
     (problem,) = preview({"name": "part.nc", "program": program}, "sim")["problems"]

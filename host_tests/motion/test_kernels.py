@@ -23,12 +23,12 @@ floats = st.floats(min_value=1e-6, max_value=1e9)
 parts = st.integers(0, 2**17)
 
 
-def single(x: float) -> float:
+def to_single(x: float) -> float:
     """Return x rounded to single precision."""
     return struct.unpack("f", struct.pack("f", x))[0]
 
 
-def near(got: float, expected: float, part: float = _PRECISION) -> bool:
+def is_near(got: float, expected: float, part: float = _PRECISION) -> bool:
     return abs(got - expected) <= part * abs(expected)
 
 
@@ -43,7 +43,7 @@ def test_a_minifloat_is_the_nearest_below(x: float) -> None:
 @given(st.one_of(st.just(0.0), st.floats(0.001, 1e9)))
 def test_a_rate_per_minute_becomes_the_nearest_below_per_second(feed: float) -> None:
     bits = array("i", array("f", (feed,)).tobytes())
-    exact = Fraction(single(feed)) / 60
+    exact = Fraction(to_single(feed)) / 60
     got = Fraction(value(minifloat.per_second(bits, 0)))
     assert got <= exact <= got * (1 + Fraction(1, 2**14))
 
@@ -60,18 +60,18 @@ def test_zero_is_packed_as_zero() -> None:
 
 @given(positive, st.integers(40, 90))
 def test_packing_keeps_fifteen_bits(n: int, exponent: int) -> None:
-    assert near(value(minifloat.pack(n, exponent)), n * 2.0 ** (exponent - 64), 2**-14)
+    assert is_near(value(minifloat.pack(n, exponent)), n * 2.0 ** (exponent - 64), 2**-14)
 
 
 @given(floats, floats)
 def test_a_product_is_within_tolerance(x: float, y: float) -> None:
     a, b = real(x), real(y)
-    assert near(value(minifloat.mul(a, b)), value(a) * value(b))
+    assert is_near(value(minifloat.mul(a, b)), value(a) * value(b))
 
 
 @given(words, floats)
 def test_a_ratio_is_within_tolerance(n: int, x: float) -> None:
-    assert near(value(minifloat.ratio(n, real(x))), n / value(real(x)))
+    assert is_near(value(minifloat.ratio(n, real(x))), n / value(real(x)))
 
 
 @given(floats)
@@ -122,7 +122,7 @@ def test_millimetres_become_steps_in_single_precision(mm: float, resolution: flo
     target[0], resolutions[0] = mm, resolution
     table = array("i", [1] + [0] * layout.table_length(1, 1))
     copy(resolutions, memoryview(table)[layout.LIMITS + layout.RESOLUTION :], 1)
-    product = single(mm * resolution)
+    product = to_single(mm * resolution)
     in_reach = to_steps(target, table)
     steps = table[layout.LIMITS + layout.TARGET :]
     farthest = 2**29  # PLACE_BIAS, added to steps, so that none is negative
@@ -247,7 +247,7 @@ def test_the_length_of_a_block_matches_its_distances(steps: "list[int]") -> None
     if bench.line([float(count) for count in steps]):
         row = bench.planner.row()
         assert row is not None
-        assert near(value(row[layout.LENGTH]), hypot(*steps), 2**-11)
+        assert is_near(value(row[layout.LENGTH]), hypot(*steps), 2**-11)
 
 
 mantissas = st.integers(minifloat.SMALLEST, minifloat.LIMIT - 1)
@@ -271,4 +271,4 @@ def test_a_limit_along_a_move_is_the_axis_limit_divided_by_its_share(
     # length / distance: their exponents differ by 2, a factor of 4
     expected = value((80 << 15) + limit_mantissa) * 4 * length_mantissa / axis_mantissa
     for column in (layout.RAPID, layout.ACCEL):
-        assert near(value(ring[column]), expected, 2**-12), "two quotients are truncated"
+        assert is_near(value(ring[column]), expected, 2**-12), "two quotients are truncated"

@@ -32,7 +32,7 @@ TABLES = {
 
 each_table = pytest.mark.parametrize("moves", TABLES.values(), ids=TABLES)
 places = st.lists(st.integers(-(2**28), 2**28 - 1), min_size=3, max_size=3)
-fast = Limits((250.0, 250.0, 250.0), (3000.0, 3000.0, 1500.0), (500.0, 500.0, 200.0))
+FAST_LIMITS = Limits((250.0, 250.0, 250.0), (3000.0, 3000.0, 1500.0), (500.0, 500.0, 200.0))
 
 
 def motors_at(kinematics: Kinematics, place: Sequence[int]) -> "array[int]":
@@ -121,19 +121,21 @@ def test_each_further_motor_follows_one_of_the_first(moves: Sequence[int]) -> No
     the first motors."""
     # a mask, and that of the reversed motor
     masks = [{m, (m & 0xFF) << 8 | m >> 8} for m in Kinematics(3, moves).moves]
-    assert all(any(motor == first for first in masks[:3]) for motor in masks[3:])
+    assert all(
+        any(steps_and_ticks == first for first in masks[:3]) for steps_and_ticks in masks[3:]
+    )
 
 
-def zigzag(moves: Sequence[int]) -> "tuple[Bench, list[array[int]]]":
+def run_zigzag(moves: Sequence[int]) -> "tuple[Bench, list[array[int]]]":
     """Run a program and check all laws; return the bench and the rows of its segments."""
-    bench = Bench(replace(fast, moves=moves))
+    bench = Bench(replace(FAST_LIMITS, moves=moves))
     for i in range(12):
         bench.line((i % 2 * 3.0, i * 0.3, -0.1 * (i % 3)), 2000)
     bench.check()
     return bench, [segment.row for segment in bench.watch.made]
 
 
-def motor(row: "array[int]", i: int) -> "list[int]":
+def steps_and_ticks(row: "array[int]", i: int) -> "list[int]":
     """Return a motor's steps in a segment, and the ticks of the first and the last; [0]: none."""
     count, *ticks = row[ROW_AXES + ROW_STRIDE * i :][:ROW_STRIDE]
     return [count, *ticks] if count else [0]
@@ -145,22 +147,24 @@ def test_a_second_motor_of_an_axis_makes_its_steps_and_changes_nothing_else(
 ) -> None:
     """Rows with a second motor on Y (motor 3) are those without it. reverse: 1, it turns against
     Y."""
-    (_, rows_alone), (bench, rows) = zigzag(CARTESIAN), zigzag(moves)
+    (_, rows_alone), (bench, rows) = run_zigzag(CARTESIAN), run_zigzag(moves)
     # motor 3 makes as many as motor 1, Y
     assert bench.planner.ring[layout.STEPS + 3] == bench.planner.ring[layout.STEPS + 1] > 0
     assert len(rows) == len(rows_alone)
     for row, row_alone in zip(rows, rows_alone, strict=True):
         assert row[ROW_TICKS] == row_alone[ROW_TICKS]
         assert row[ROW_DIRS] & 0b111 == row_alone[ROW_DIRS]
-        assert [motor(row, i) for i in range(3)] == [motor(row_alone, i) for i in range(3)]
-        assert motor(row, 3) == motor(row, 1)
+        assert [steps_and_ticks(row, i) for i in range(3)] == [
+            steps_and_ticks(row_alone, i) for i in range(3)
+        ]
+        assert steps_and_ticks(row, 3) == steps_and_ticks(row, 1)
         if row[ROW_AXES + ROW_STRIDE]:
             assert row[ROW_DIRS] >> 3 ^ reverse == row[ROW_DIRS] >> 1 & 1
 
 
 @each_table
 def test_planning_continues_from_the_motors_position(moves: Sequence[int]) -> None:
-    bench = Bench(replace(fast, moves=moves))
+    bench = Bench(replace(FAST_LIMITS, moves=moves))
     bench.planner.sync_motors(motors_at(Kinematics(3, moves), [500, -250, 750]))
     # 500, -250, 750 steps at 250 steps/mm
     assert not bench.line((2.0, -1.0, 3.0)), "it is already there"

@@ -19,27 +19,27 @@ from ugrbl.sim.engine import step_tick
 
 # In addition to half a step of rounding: what the order of gaps and ticks leaves open, up to the
 # rate in Hz at which rows are as short as in a ramp.
-_BIT = 0.3
-_TO_HZ = 140_000
+_MARGIN_STEPS = 0.3
+_SHORT_ROWS_HZ = 140_000
 # The highest step rate of an engine; with STEP_PULSE_MIN_US where pulses may be that short.
 _MOST_HZ = {"sim": 500_000, "pio": 500_000, "i2s": 60_000, "rmt": 5_000}
 
 
-def bench(engine: str, rate_hz: float, travel_mm: "tuple[float, ...]") -> Bench:
+def make_bench(engine: str, rate_hz: float, travel_mm: "tuple[float, ...]") -> Bench:
     """Return a bench with a line on which the fastest motor makes rate_hz, at 1600 steps/mm, after
     a ramp of 25 ms."""
     length = sum(mm * mm for mm in travel_mm) ** 0.5
     feed = rate_hz / 1600 * length / max(map(abs, travel_mm))
     limits = Limits((1600.0,) * 3, (feed * 60,) * 3, (feed * 40,) * 3, step_hz=FASTEST_HZ)
-    made = Bench(limits, 16, *ENGINES[engine])
-    made.line(travel_mm, feed * 60)
-    return made
+    bench = Bench(limits, 16, *ENGINES[engine])
+    bench.line(travel_mm, feed * 60)
+    return bench
 
 
-def apart(made: Bench) -> float:
+def off_line_steps(bench: Bench) -> float:
     """Return how far the motors are from the line, in steps."""
-    made.finish()
-    rows = [(segment.start, segment.row) for segment in made.watch.made]
+    bench.finish()
+    rows = [(segment.start, segment.row) for segment in bench.watch.made]
     return off_line([[tick for tick, _ in pulses(rows, axis)] for axis in range(3)])
 
 
@@ -55,9 +55,9 @@ def test_motors_keep_to_the_line(
     """fraction: of the engine's highest step rate; above _TO_HZ the tolerance grows with its
     square."""
     rate_hz = fraction * _MOST_HZ[engine]
-    off = apart(bench(engine, rate_hz, (4.0, *y_z_mm)))
-    allowance = max((rate_hz / _TO_HZ) ** 2, 1.0)
-    assert off <= 0.5 + _BIT * allowance
+    off_steps = off_line_steps(make_bench(engine, rate_hz, (4.0, *y_z_mm)))
+    allowance = max((rate_hz / _SHORT_ROWS_HZ) ** 2, 1.0)
+    assert off_steps <= 0.5 + _MARGIN_STEPS * allowance
 
 
 @pytest.mark.parametrize(("feed", "was"), [(6000, 3.5), (9000, 5.3)])
@@ -66,16 +66,20 @@ def test_lines_that_once_failed_keep_to_the_line(feed: int, was: float) -> None:
     # of X: its share of the feed
     rate_hz = feed / 60 * 1600 * 10 / (10**2 + 7.3**2) ** 0.5
     for engine in ("sim", "pio"):
-        assert apart(bench(engine, rate_hz, (10.0, 7.3, 0.0))) < 0.5 + _BIT < was / 2
+        assert (
+            off_line_steps(make_bench(engine, rate_hz, (10.0, 7.3, 0.0)))
+            < 0.5 + _MARGIN_STEPS
+            < was / 2
+        )
 
 
 def test_the_words_of_the_pio_keep_to_the_line() -> None:
     """The words sent to the state machines, at the highest rate with pulses of 10 us."""
-    made = bench("pio", 85_000, (10.0, 7.3, -2.2))
-    steps = _play_words(made, 1)
+    bench = make_bench("pio", 85_000, (10.0, 7.3, -2.2))
+    steps = _play_words(bench, 1)
     assert (
         off_line([[tick for tick, motor, _ in steps if motor == axis] for axis in range(3)])
-        < 0.5 + _BIT
+        < 0.5 + _MARGIN_STEPS
     )
 
 

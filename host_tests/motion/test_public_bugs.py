@@ -82,7 +82,7 @@ PROGRAMS: "dict[str, tuple[list[Place], float]]" = {
 }
 
 
-def bench(engine: str, jerk: float) -> Bench:
+def make_bench(engine: str, jerk: float) -> Bench:
     """Return a bench with this engine's step rate; jerk in mm/s3, 0: no limit."""
     per_mm = _PER_MM[engine]
     limits = Limits(
@@ -98,36 +98,36 @@ def bench(engine: str, jerk: float) -> Bench:
 @pytest.mark.parametrize("name", PROGRAMS)
 def test_faults_of_other_controllers_keep_every_law(name: str, engine: str, jerk: float) -> None:
     lines, feed = PROGRAMS[name]
-    made: Any = bench(engine, jerk)
+    bench: Any = make_bench(engine, jerk)
     for place in lines:
-        made.line(place, feed)
-    made.planner.catch_up()
-    made.check()
-    assert made.watch.pieces[-1].ends_block
+        bench.line(place, feed)
+    bench.planner.catch_up()
+    bench.check()
+    assert bench.watch.pieces[-1].ends_block
     # the segments of each line
-    for _, row in groupby(made.watch.made, lambda segment: segment.block):
+    for _, row in groupby(bench.watch.made, lambda segment: segment.block):
         rows = [(segment.start, segment.row) for segment in row]
         assert off_line([[tick for tick, _ in pulses(rows, axis)] for axis in range(3)]) <= 1.05
 
 
 def test_a_helix_with_arcs_never_stops_between_lines() -> None:
     lines, feed = PROGRAMS["a pause behind a helix"]
-    made = bench("sim", 0.0)
+    bench = make_bench("sim", 0.0)
     for place in lines:
-        made.line(place, feed)
-    made.finish()
-    end_speeds = [piece.speed for piece in made.watch.pieces if piece.ends_block]
+        bench.line(place, feed)
+    bench.finish()
+    end_speeds = [piece.speed for piece in bench.watch.pieces if piece.ends_block]
     # mm/s; 3 lines at either end speed up and slow down
     assert min(end_speeds[3:-3]) > 0.2 * feed / 60
 
 
 @pytest.mark.parametrize("line", ["G1X{x}S{s}", "S{s}G1X{x}", "M3G1X{x}S{s}F6000", "{g}X{x}S{s}"])
-@pytest.mark.parametrize(("laser_mode", "stops"), [(1, 0), (0, 60)])
+@pytest.mark.parametrize(("laser_mode", "expected_stops"), [(1, 0), (0, 60)])
 def test_a_raster_stops_for_power_changes_only_without_laser_mode(
-    line: str, laser_mode: int, stops: int
+    line: str, laser_mode: int, expected_stops: int
 ) -> None:
-    """In laser mode with M3 a block carries its line's S; else the spindle changes at rest. stops:
-    pauses between segments, one for each of 60 lines."""
+    """In laser mode with M3 a block carries its line's S; else the spindle changes at rest.
+    expected_stops: pauses between segments, one for each of 60 lines."""
     machine = Machine({1: 255, 32: laser_mode, 110: 6000, 111: 6000, 120: 1000, 121: 1000})
     raster = [
         line.format(x=f"{k / 10:.1f}", s=k * 37 % 1000, g="G0" if k % 2 else "G1")
@@ -135,4 +135,7 @@ def test_a_raster_stops_for_power_changes_only_without_laser_mode(
     ]
     machine.play(["M3S10", "G1X0F6000", *raster, "M5"])
     times = pairwise((start, start + row[ROW_TICKS]) for start, row in machine.rows)
-    assert sum(start > end for (_, end), (start, _) in times) + (1 if stops else 0) == stops
+    assert (
+        sum(start > end for (_, end), (start, _) in times) + (1 if expected_stops else 0)
+        == expected_stops
+    )

@@ -13,15 +13,15 @@ from laws import TICK_HZ, Bench, Limits, pulses, some
 from motion.layout import DYNAMIC
 
 # The largest jump of that time after the first steps; an eighth of it is allowed.
-_WAS = 0.96
-_MOST = _WAS / 8
+_FORMER_JUMP = 0.96
+_LARGEST_JUMP = _FORMER_JUMP / 8
 # Steps at either end, too far apart for any law: at constant acceleration the tenth interval
 # differs from the eleventh by 5 %.
-_FIRST = 10
-_TICKS = 4  # rounding error of a difference
+_SKIPPED_STEPS = 10
+_ROUNDING_TICKS = 4  # rounding error of a difference
 _SEGMENT_S = 0.01
 # Where a ramp begins or ends within a segment, the segment blends two accelerations.
-_BLENDED = 1.25
+_BLEND_FACTOR = 1.25
 
 
 def intervals(
@@ -45,8 +45,8 @@ def largest_jump(gaps: "list[int]", slight_hz: float = 0) -> float:
     The ends are left out. slight_hz: changes of the rate that do not count.
     """
     largest = 0.0
-    for a, b in pairwise(gaps[_FIRST:-_FIRST]):
-        if abs(b - a) > _TICKS and abs(TICK_HZ / a - TICK_HZ / b) > slight_hz:
+    for a, b in pairwise(gaps[_SKIPPED_STEPS:-_SKIPPED_STEPS]):
+        if abs(b - a) > _ROUNDING_TICKS and abs(TICK_HZ / a - TICK_HZ / b) > slight_hz:
             largest = max(largest, max(a, b) / min(a, b) - 1)
     return largest
 
@@ -55,7 +55,7 @@ def largest_jump(gaps: "list[int]", slight_hz: float = 0) -> float:
 @pytest.mark.parametrize("acceleration", [100.0, 1000.0])
 def test_intervals_change_by_an_eighth_of_the_former_jump(feed: int, acceleration: float) -> None:
     for gaps in intervals((40.0, 13.37, -2.0), feed, acceleration, 250.0):
-        assert largest_jump(gaps) <= _MOST
+        assert largest_jump(gaps) <= _LARGEST_JUMP
 
 
 @some(20)
@@ -68,19 +68,21 @@ def test_intervals_change_by_an_eighth_of_the_former_jump(feed: int, acceleratio
 def test_ramps_of_any_move_are_smooth(
     travel_mm, feed: int, acceleration: float, per_mm: float
 ) -> None:
-    """Or the rate changes by less than an eighth of what it changes in 10 ms (slight_hz), with a
-    small margin."""
-    slight_hz = acceleration * per_mm * _SEGMENT_S / 8 * _BLENDED
+    """Intervals change by an eighth of the former jump, or the rate changes by less than an eighth
+    of what it changes in 10 ms (slight_hz), with a small margin."""
+    slight_hz = acceleration * per_mm * _SEGMENT_S / 8 * _BLEND_FACTOR
     for gaps in intervals(travel_mm, feed, acceleration, per_mm):
-        assert largest_jump(gaps, slight_hz) <= _MOST * _BLENDED
+        assert largest_jump(gaps, slight_hz) <= _LARGEST_JUMP * _BLEND_FACTOR
 
 
 @pytest.mark.parametrize("feed", [1500, 6000, 9000, 30_000])
 def test_successive_speeds_differ_by_at_most_an_eighth_of_a_segments_change(feed: int) -> None:
-    """Or by a thirty-second: motors feel relative changes."""
+    """Or by a thirty-second of the speed: motors feel relative changes."""
     acceleration = 1000.0
     (gaps, *_) = intervals((300.0, 0.0, 0.0), feed, acceleration, 100.0)
-    speeds = [TICK_HZ / gap / 100 for gap in gaps[_FIRST:-_FIRST]]  # mm/s, at 100 steps/mm
+    speeds = [
+        TICK_HZ / gap / 100 for gap in gaps[_SKIPPED_STEPS:-_SKIPPED_STEPS]
+    ]  # mm/s, at 100 steps/mm
     for a, b in pairwise(speeds):
         # Rounding to ticks: within a segment two intervals differ by one.
         rounding = a * a * 100 * 2 / TICK_HZ
@@ -95,7 +97,7 @@ def test_a_hold_is_smooth() -> None:
     bench.hold()
     rows = [(segment.start, segment.row) for segment in bench.watch.made]
     ticks = [tick for tick, _ in pulses(rows, 0)]
-    assert largest_jump([b - a for a, b in pairwise(ticks)]) <= _MOST
+    assert largest_jump([b - a for a, b in pairwise(ticks)]) <= _LARGEST_JUMP
 
 
 def test_m4_power_follows_the_speed_within_a_millisecond() -> None:

@@ -8,7 +8,8 @@ shown to keep that timing.
 A row is a segment: its ticks, directions, power, and per axis its steps and the ticks of the first
 and the last one. A word is what the engine makes of rows: DIR, a number of steps, and a delay.
 Words.due has the steps (tick, DIR) that follow from rows, Words.played() those that the model
-makes. A Bed has the whole engine: places() counts its steps, position() is what it reports.
+makes. An EngineBench has the whole engine: counted_steps() counts its steps, reported_steps() is
+what it reports.
 """
 
 import sys
@@ -77,7 +78,7 @@ def row(count: int, dirs: int, *axes: "tuple[int, int, int]") -> "array[int]":
 
 
 def word(direction: int, steps: int, delay: int) -> int:
-    """Return a word of the program; delay: ticks before each step, besides the program's own."""
+    """Return a word of the program; delay: ticks before each step, added to the program's own."""
     return direction | steps << 1 | delay << 13
 
 
@@ -147,7 +148,7 @@ class Words:
         self.ring = array("i", [0] * (AXES << pulses.RING_LOG2))
         self.words: list[list[int]] = [[] for _ in range(AXES)]
         self.due: list[list[tuple[int, int]]] = [[] for _ in range(AXES)]  # steps: tick, DIR
-        self.late: list[int] = []  # ticks by which each piece is delayed, by DIR or the rate
+        self.delays: list[int] = []  # ticks by which each piece is delayed, by DIR or the rate
         self.end = 0  # tick at which the last segment ends
 
     def lane(self, axis: int, what: int) -> int:
@@ -157,11 +158,11 @@ class Words:
     def add(self, whole: "array[int]") -> None:
         """Convert a segment, in pieces if it is long."""
         pieces = list(cut(whole)) if whole[ROW_TICKS] > pulses.LONGEST else [whole]
-        sent = len(self.late)
+        sent = len(self.delays)
         for piece in pieces:
             self._convert(piece)
-        assert not any(self.late[sent + 1 :]), "a later piece is delayed"
-        start = self.end + self.late[sent]
+        assert not any(self.delays[sent + 1 :]), "a later piece is delayed"
+        start = self.end + self.delays[sent]
         for axis, due in enumerate(self.due):
             base = ROW_AXES + ROW_STRIDE * axis
             level = whole[ROW_DIRS] >> axis & 1
@@ -171,11 +172,11 @@ class Words:
     def _convert(self, piece: "array[int]") -> None:
         """Let the engine write the piece's words into its rings; copy them to self.words."""
         heads = [self.lane(i, pulses.HEAD) for i in range(AXES)]
-        self.late.append(pulses.convert(piece, self.lanes, self.ring, self.timing))
+        self.delays.append(pulses.convert(piece, self.lanes, self.ring, self.timing))
         for i, words in enumerate(self.words):
-            made = (self.lane(i, pulses.HEAD) - heads[i]) % (1 << pulses.RING_LOG2)
-            assert made <= 6, "a segment makes at most six words per ring"
-            for k in range(made):
+            segment = (self.lane(i, pulses.HEAD) - heads[i]) % (1 << pulses.RING_LOG2)
+            assert segment <= 6, "a segment makes at most six words per ring"
+            for k in range(segment):
                 at = (heads[i] + k) % (1 << pulses.RING_LOG2)
                 words.append(self.ring[(i << pulses.RING_LOG2) + at] & 0xFFFFFFFF)
 
@@ -196,9 +197,9 @@ class Words:
             model.run(200)
         return [driver(model.edges, i) for i in range(AXES)]
 
-    def reckoned(self) -> "list[list[tuple[int, int]]]":
+    def computed(self) -> "list[list[tuple[int, int]]]":
         """Return the steps computed from the timing that programs.py states."""
-        return [reckon(words, self.pulse)[0] for words in self.words]
+        return [compute_steps(words, self.pulse)[0] for words in self.words]
 
 
 def cut(whole: "array[int]") -> "Iterator[array[int]]":
@@ -212,7 +213,7 @@ def cut(whole: "array[int]") -> "Iterator[array[int]]":
             return
 
 
-def reckon(words: "Iterable[int]", pulse: int) -> "tuple[list[tuple[int, int]], int]":
+def compute_steps(words: "Iterable[int]", pulse: int) -> "tuple[list[tuple[int, int]], int]":
     """Compute the steps of words from the timing in programs.py, and the tick the machine is
     ready for the next one. pulse: ticks of a pulse."""
     steps = []  # tick of the rising edge, DIR
@@ -237,10 +238,10 @@ def segmented(
     bench = Bench(limits, 64, HZ, LOG2)  # 64 blocks; segments of up to 1 << LOG2 ticks
     for target in targets:
         bench.line(target, feed * 60)  # mm/min
-    made = []
+    segment = []
     while bench.segments.next(bench._row):
-        made.append(bench._row[:])
-    return made
+        segment.append(bench._row[:])
+    return segment
 
 
 def at_rate(
@@ -273,7 +274,7 @@ MOVES: "dict[str, tuple[Limits, float, list[tuple[float, ...]]]]" = {
 }
 
 
-def move(name: str) -> "list[array[int]]":
+def move_rows(name: str) -> "list[array[int]]":
     """Return the segments of one of the MOVES."""
     limits, feed, targets = MOVES[name]
     return segmented(targets, feed, limits)
@@ -308,18 +309,18 @@ def timed_segments(
     return timing, draw(segments(pulses.shortest_gap(ticks(timing[0])), most, motors))
 
 
-def fed(rows: "Iterable[array[int]]", timing: Timing = TIMINGS["usual"]) -> Words:
+def words_of(rows: "Iterable[array[int]]", timing: Timing = TIMINGS["usual"]) -> Words:
     """Return the words of these segments."""
     words = Words(timing)
-    for made in rows:
-        words.add(made)
+    for segment in rows:
+        words.add(segment)
     return words
 
 
 # The program
 
 
-def play(words: "list[int]", pulse: int, count: int) -> "list[tuple[int, int, int]]":
+def play_words(words: "list[int]", pulse: int, run_ticks: int) -> "list[tuple[int, int, int]]":
     """Return the edges (tick, pin, level) of one machine that plays these words for count ticks.
 
     pulse: ticks of a pulse.
@@ -328,14 +329,14 @@ def play(words: "list[int]", pulse: int, count: int) -> "list[tuple[int, int, in
     model.load_isr(0, pulse - 3)  # the program itself takes 3 ticks of each pulse
     model.waiting[0] += words
     model.start()
-    model.run(count)
+    model.run(run_ticks)
     return list(model.edges)
 
 
 @pytest.mark.parametrize("pulse_us", range(1, 21))
 def test_a_pulse_has_the_requested_length(pulse_us: int) -> None:
     pulse = ticks(pulse_us)
-    seen = driver(play([word(0, 3, 0), word(1, 2, 7)], pulse, 3000), 0)
+    seen = driver(play_words([word(0, 3, 0), word(1, 2, 7)], pulse, run_ticks=3000), 0)
     assert len(seen.steps) == 5
     assert seen.pulses == {pulse}
     # In ns: a tick has 80. Rounded up, so that no pulse is shorter than requested.
@@ -345,8 +346,8 @@ def test_a_pulse_has_the_requested_length(pulse_us: int) -> None:
 @pytest.mark.parametrize("delay", [0, 1, 2, 777])
 @pytest.mark.parametrize("pulse", [13, 38, 125])
 def test_edges_follow_the_timing_of_programs(pulse: int, delay: int) -> None:
-    """The second word's DIR changes one tick after the machine is ready for the word."""
-    edges = play([word(0, 2, delay), word(1, 0, 0)], pulse, 4000)
+    """The second word has no step: its DIR changes one tick after the machine is ready for it."""
+    edges = play_words([word(0, 2, delay), word(1, 0, 0)], pulse, run_ticks=4000)
     # Ticks of the program: 6 to fetch a word, 9 between two pulses, 3 after the last.
     first = 6 + delay
     second = first + pulse + 9 + delay
@@ -363,12 +364,14 @@ def test_edges_follow_the_timing_of_programs(pulse: int, delay: int) -> None:
 @pytest.mark.parametrize("delay", [0, 1, 1000, LONGEST_DELAY])
 def test_a_word_without_steps_is_a_delay(delay: int) -> None:
     """The second word turns DIR one tick after the first has taken 6 ticks and its delay."""
-    edges = play([word(0, 0, delay), word(1, 0, 0)], 38, delay + 100)
+    edges = play_words([word(0, 0, delay), word(1, 0, 0)], pulse=38, run_ticks=delay + 100)
     assert edges == [(6 + delay + 1, DIR[0], 1)]
 
 
 def test_a_word_has_up_to_4095_steps() -> None:
-    seen = driver(play([word(1, MOST_STEPS, 3)], 38, MOST_STEPS * 50 + 100), 0)
+    seen = driver(
+        play_words([word(1, MOST_STEPS, 3)], pulse=38, run_ticks=MOST_STEPS * 50 + 100), 0
+    )
     # First step: 6 ticks + delay 3. Interval: pulse 38 + 9 ticks of the program + delay 3.
     assert seen.steps == [(9 + 50 * k, 1) for k in range(MOST_STEPS)]
 
@@ -379,8 +382,8 @@ _ANY_WORD = st.builds(word, st.integers(0, 1), st.integers(0, 6), st.integers(0,
 @given(st.lists(_ANY_WORD, max_size=20), st.integers(4, 150))
 def test_model_and_computation_agree_on_random_words(words: "list[int]", pulse: int) -> None:
     """Two words that turn DIR up and down are added: they show when the machine was ready."""
-    steps, ready = reckon(words, pulse)
-    edges = play([*words, word(1, 0, 0), word(0, 0, 0)], pulse, ready + 20)
+    steps, ready = compute_steps(words, pulse)
+    edges = play_words([*words, word(1, 0, 0), word(0, 0, 0)], pulse, run_ticks=ready + 20)
     assert driver(edges, 0).steps == steps
     # The machine fetches the last two words as soon as it is ready, and again 6 ticks later.
     assert (ready + 7, DIR[0], 0) == edges[-1]
@@ -389,19 +392,19 @@ def test_model_and_computation_agree_on_random_words(words: "list[int]", pulse: 
 @pytest.mark.parametrize("name", ["reversals", "one step"])
 def test_model_and_test_engines_agree_on_moves(name: str) -> None:
     """_play_words() of test_engines computes the steps; the model runs the programs."""
-    rows = move(name)
+    rows = move_rows(name)
     waiting = iter(rows)
 
     def next_segment(into: "array[int]") -> int:
         """Copy the next row; return 0 if there is none."""
-        made = next(waiting, None)
-        into[:] = made or into
-        return int(made is not None)
+        segment = next(waiting, None)
+        into[:] = segment or into
+        return int(segment is not None)
 
     planner = SimpleNamespace(motors=AXES)
     stand_in: Any = SimpleNamespace(planner=planner, segments=SimpleNamespace(next=next_segment))
     by_arithmetic = _play_words(stand_in, us=1)  # tick, axis, sign; a tick as the unit of time
-    played = fed(rows).played()
+    played = words_of(rows).played()
     by_model = [
         (tick, i, -1 if level else 1) for i in range(AXES) for tick, level in played[i].steps
     ]
@@ -421,14 +424,14 @@ def test_every_step_comes_in_its_planned_tick(
     The steps expected (words.due) are computed from the segments, not from the words.
     """
     timing, rows = case
-    words = fed(rows, timing)
+    words = words_of(rows, timing)
     assert [seen.steps for seen in words.played()] == words.due
 
 
 @given(timed_segments())
 def test_drivers_get_the_times_they_need(case: "tuple[Timing, list[array[int]]]") -> None:
     timing, rows = case
-    for seen in fed(rows, timing).played():
+    for seen in words_of(rows, timing).played():
         check_times(seen, timing)
         assert seen.pause >= 9  # ticks of the program between two pulses
 
@@ -441,12 +444,12 @@ def test_a_reversal_takes_the_shortest_allowed_time(timing: Timing) -> None:
     gap = pulses.shortest_gap(pulse)
     # Four segments of four steps; every second one is backwards on all three axes (7).
     rows = [row(4 * gap, k % 2 * 7, *[(4, gap, 4 * gap)] * AXES) for k in range(4)]
-    for seen in fed(rows, timing).played():
+    for seen in words_of(rows, timing).played():
         check_times(seen, timing)
         # Ticks from the last step before a turn to the first after it.
-        turns = [b[0] - a[0] for a, b in pairwise(seen.steps) if a[1] != b[1]]
+        turn_ticks = [b[0] - a[0] for a, b in pairwise(seen.steps) if a[1] != b[1]]
         # The program needs at least 10 and 5 ticks for a turn; the rate is never exceeded.
-        assert turns == [max(pulse + max(hold, 10) + max(setup, 5), gap)] * 3
+        assert turn_ticks == [max(pulse + max(hold, 10) + max(setup, 5), gap)] * 3
 
 
 @given(timed_segments())
@@ -454,28 +457,29 @@ def test_machines_stay_synchronous_to_the_tick(case: "tuple[Timing, list[array[i
     """At the end, each axis carries ticks that its words have not used up. One more word uses them
     up, the next turns DIR: on all axes in the same tick."""
     timing, rows = case
-    words = fed(rows, timing)
-    later = 1000  # ticks after the last segment
+    words = words_of(rows, timing)
+    later_ticks = 1000  # ticks after the last segment
     for i in range(AXES):
         level = words.lane(i, pulses.DIR)
-        delay = words.lane(i, pulses.CARRY) + later - 6  # a word takes 6 ticks itself
+        delay = words.lane(i, pulses.CARRY) + later_ticks - 6  # a word takes 6 ticks itself
         words.words[i] += [word(level, 0, delay), word(1 - level, 0, 0)]
     model = words.model()
-    model.run(words.end + later + 20)
-    turned = [[tick for tick, pin, _ in model.edges if pin == DIR[i]][-1] for i in range(AXES)]
-    assert turned == [words.end + later + 1] * AXES
+    model.run(words.end + later_ticks + 20)
+    turn_ticks = [[tick for tick, pin, _ in model.edges if pin == DIR[i]][-1] for i in range(AXES)]
+    assert turn_ticks == [words.end + later_ticks + 1] * AXES
 
 
 @given(segments(40))
 def test_steps_requested_too_fast_come_late_and_complete(rows: "list[array[int]]") -> None:
     """Steps closer than the program allows: none is lost, and the machines stay synchronous."""
-    words = fed(rows)
+    words = words_of(rows)
     for i, seen in enumerate(words.played()):
         assert [level for _, level in seen.steps] == [level for _, level in words.due[i]]
         check_times(seen, TIMINGS["usual"])
     # Ready after the last word, plus the ticks not yet used up: the end, on every axis.
     ready = {
-        reckon(words.words[i], words.pulse)[1] + words.lane(i, pulses.CARRY) for i in range(AXES)
+        compute_steps(words.words[i], words.pulse)[1] + words.lane(i, pulses.CARRY)
+        for i in range(AXES)
     }
     assert ready == {words.end}
 
@@ -484,7 +488,7 @@ def test_steps_requested_too_fast_come_late_and_complete(rows: "list[array[int]]
 def test_moves_are_exact_to_the_tick(name: str) -> None:
     """Moves of a planner, with a board's own times for DIR; due: the steps computed from rows."""
     timing = TIMINGS["generic_breakout"]
-    words = fed(move(name), timing)
+    words = words_of(move_rows(name), timing)
     for due, seen in zip(words.due, words.played(), strict=True):
         assert seen.steps == due
         check_times(seen, timing)
@@ -496,8 +500,8 @@ def test_the_longest_segment_fits_into_words() -> None:
     rows = [row(1000, 0, (1, 1000, 1000), none, none)]
     rows += [row(long, 1, (2, 0, long), none, (1, long, long))]
     rows += [row(1000, 1, (1, 900, 900), (1, 900, 900), (1, 900, 900))]
-    words = fed(rows)
-    assert words.late[1] > 6  # the turn of the first axis delays the long segment
+    words = words_of(rows)
+    assert words.delays[1] > 6  # the turn of the first axis delays the long segment
     assert max(w >> 13 for axis in words.words for w in axis) >= long
     assert [seen.steps for seen in words.played()] == words.due
 
@@ -505,10 +509,10 @@ def test_the_longest_segment_fits_into_words() -> None:
 def test_a_long_segment_is_cut_without_changing_its_steps() -> None:
     """Pieces have 131,072 ticks; some steps fall on the first or the last tick of a piece."""
     edges = [(1, 700_000, 700_000), (7, 131_072, 655_360), (3, 0, 262_143)]
-    words = fed([row(700_000, 2, *edges), row(300_000, 5, *[(2, 1, 299_999)] * 3)])
+    words = words_of([row(700_000, 2, *edges), row(300_000, 5, *[(2, 1, 299_999)] * 3)])
     assert [seen.steps for seen in words.played()] == words.due
     # Pieces: 5 of the first segment and 2 of the second; the last one of each is longer.
-    assert len(words.late) == 7
+    assert len(words.delays) == 7
 
 
 # Rates
@@ -518,12 +522,12 @@ def test_a_long_segment_is_cut_without_changing_its_steps() -> None:
 _ROUNDING = 1.1
 
 
-def cruise(words: Words, rows: "list[array[int]]") -> "list[list[int]]":
+def steady_ticks(words: Words, rows: "list[array[int]]") -> "list[list[int]]":
     """Return the steps' ticks of each axis at a constant rate, without the ends of the move: two
     full segments at each end."""
     begin = 2 << LOG2
     end = words.end - begin
-    return [[tick for tick, _ in axis if begin < tick < end] for axis in words.reckoned()]
+    return [[tick for tick, _ in axis if begin < tick < end] for axis in words.computed()]
 
 
 def _shortest(hz: int) -> Timing:
@@ -550,11 +554,11 @@ def test_intervals_are_even_at_a_constant_rate(hz: int) -> None:
     """
     # A twelfth of a second, or 12 steps if that is more.
     rows = at_rate(hz, max(hz // 12, 12), ratio=(1.0, 1.0, 1.0), step_hz=_engine_hz(hz))
-    words = fed(rows, _shortest(hz))
-    assert not any(words.late)
+    words = words_of(rows, _shortest(hz))
+    assert not any(words.delays)
     if hz >= 1000:
-        assert [seen.steps for seen in words.played()] == words.reckoned()
-    for steps in cruise(words, rows):
+        assert [seen.steps for seen in words.played()] == words.computed()
+    for steps in steady_ticks(words, rows):
         assert len(steps) >= 6
         mean, worst = unevenness(steps)
         assert mean == pytest.approx(HZ / hz, rel=0.02)
@@ -571,9 +575,9 @@ def test_fast_axes_are_even_to_three_ticks_at_any_rate(
     """Intervals differ from their mean by 1.1 ticks, so from each other by less than three, or by
     1 %; the slower axes of the same line, too."""
     rows = at_rate(hz, hz // 4, ratio, step_hz=_engine_hz(hz))
-    words = fed(rows, _shortest(hz))
-    assert not any(words.late)
-    for steps in cruise(words, rows):
+    words = words_of(rows, _shortest(hz))
+    assert not any(words.delays)
+    for steps in steady_ticks(words, rows):
         mean, worst = unevenness(steps)
         assert worst <= max(_ROUNDING, mean / 100)
 
@@ -586,12 +590,12 @@ def test_three_axes_make_the_highest_rate(pulse_us: int, hz: int) -> None:
     engine_says = HZ // pulses.shortest_gap(ticks(pulse_us))
     assert engine_says == hz
     rows = at_rate(engine_says, steps=25_000, ratio=(1.0, 1.0, -1.0), step_hz=engine_says)
-    words = fed(rows, (pulse_us, 2, 5))
+    words = words_of(rows, (pulse_us, 2, 5))
     played = words.played()
     assert [seen.place for seen in played] == [25_000, 25_000, -25_000]
     assert [seen.steps for seen in played] == words.due
     assert {tick for tick, _ in played[0].steps} == {tick for tick, _ in played[2].steps}
-    assert not any(words.late[1:]), "except for the turn of the third axis at the start"
+    assert not any(words.delays[1:]), "except for the turn of the third axis at the start"
     assert max(len(w) for w in words.words) <= 4 * len(rows)  # not a word per step
     fastest = [tick for tick, _ in played[0].steps][5000:20_000]
     assert (fastest[-1] - fastest[0]) / (len(fastest) - 1) == pytest.approx(HZ / hz, rel=1e-3)
@@ -605,7 +609,7 @@ def test_pulse_plus_nine_ticks_is_the_programs_limit() -> None:
         for requested, played in ((pulse + 9, pulse + 9), (pulse + 8, pulse + 9)):
             steps = (5, requested, 5 * requested)
             rows = [row(5 * requested, 0, *[steps] * AXES) for _ in range(4)]
-            for seen in fed(rows, (pulse_us, 2, 5)).played():
+            for seen in words_of(rows, (pulse_us, 2, 5)).played():
                 assert {b[0] - a[0] for a, b in pairwise(seen.steps)} == {played}
 
 
@@ -618,10 +622,10 @@ def test_the_stated_rate_includes_a_margin_for_rounding(
     gap = pulses.shortest_gap(ticks(pulse_us))
     assert gap > ticks(pulse_us) + 9  # the program's limit
     rows = at_rate(HZ // gap, 20_000, ratio, step_hz=600_000)
-    assert not any(fed(rows, (pulse_us, 2, 5)).late)
+    assert not any(words_of(rows, (pulse_us, 2, 5)).delays)
     # Faster than the program allows.
     rows = at_rate(HZ // (ticks(pulse_us) + 8), 20_000, ratio, step_hz=600_000)
-    assert any(fed(rows, (pulse_us, 2, 5)).late)
+    assert any(words_of(rows, (pulse_us, 2, 5)).delays)
 
 
 # Running empty, and stops
@@ -639,13 +643,13 @@ def test_machines_wait_for_late_words(
     timing, rows = case
     words = Words(timing)
     model = words.model()
-    for made, gap in zip(rows, gaps, strict=False):
+    for segment, gap in zip(rows, gaps, strict=False):
         sent = [len(w) for w in words.words]  # words of each axis
-        words.add(made)
+        words.add(segment)
         for i, count in enumerate(sent):
             model.waiting[i] += words.words[i][count:]
         # Long enough to play the segment and to end its last pulse.
-        model.run(words.late[-1] + made[ROW_TICKS] + 2 * words.pulse + 400)
+        model.run(words.delays[-1] + segment[ROW_TICKS] + 2 * words.pulse + 400)
         edges = len(model.edges)
         model.run(gap)
         assert len(model.edges) == edges, "a pin has moved"
@@ -687,7 +691,7 @@ def test_a_stop_in_any_tick_leaves_a_known_position(
 ) -> None:
     """The position follows from the state of the stopped machines; no pin changes any more."""
     timing, rows = case
-    words = fed(rows, timing)
+    words = words_of(rows, timing)
     model = words.model()
     model.run(data.draw(st.integers(0, words.end)))
     model.stop()
@@ -714,7 +718,7 @@ def test_the_clock_interrupts_at_segment_boundaries(lengths: "list[int]") -> Non
 # The engine, on a chip
 
 
-class Bed:
+class EngineBench:
     """An engine on a modelled chip, and the segments it has requested."""
 
     def __init__(self, patch: pytest.MonkeyPatch, timing: Timing, motors: int) -> None:
@@ -724,13 +728,13 @@ class Bed:
         self.engine = self.chip.engine
         self.waiting: list[array[int]] = []
         self.powers: list[tuple[int, int]] = []  # tick, power
-        self.asked: list[int] = []  # ticks at which a segment was requested
-        self.rests: list[int] = []  # ticks at which the machines stood still
+        self.request_ticks: list[int] = []  # ticks at which a segment was requested
+        self.stop_ticks: list[int] = []  # ticks at which the machines stood still
         self.faults: list[int] = []  # ticks at which the engine reported a fault
         self.engine.attach(
             self._next,
             lambda power: self.powers.append((self.chip.now, power)),
-            lambda: self.rests.append(self.chip.now),
+            lambda: self.stop_ticks.append(self.chip.now),
         )
         self.engine.on_fault = lambda: self.faults.append(self.chip.now)
         self.engine.configure(timing[0], 0, 0)  # no pin is inverted
@@ -740,28 +744,28 @@ class Bed:
         """Write the next segment to the engine's row; return 0 if there is none."""
         if not self.waiting:
             return 0
-        self.asked.append(self.chip.now)
+        self.request_ticks.append(self.chip.now)
         row = pulses.ptr32(into)  # an address
         for i, value in enumerate(self.waiting.pop(0)):
             row[i] = value
         return 1
 
-    def start(self, rows: "Iterable[array[int]]") -> "Bed":
+    def start(self, rows: "Iterable[array[int]]") -> "EngineBench":
         self.waiting += rows
         self.engine.start()
         return self
 
-    def again(self, rows: "Iterable[array[int]]") -> "Bed":
+    def restart(self, rows: "Iterable[array[int]]") -> "EngineBench":
         """Start motion after a stop."""
         self.waiting.clear()
         self.engine.arm()
         return self.start(rows)
 
-    def finish(self) -> "Bed":
+    def finish(self) -> "EngineBench":
         self.chip.run_until_idle()
         return self
 
-    def late_by(self, latencies: "list[int]") -> None:
+    def finish_with_latencies(self, latencies: "list[int]") -> None:
         """Run to the end with these interrupt latencies in turn, in ticks."""
         for latency in cycle(latencies):
             self.chip.latency = latency
@@ -777,68 +781,68 @@ class Bed:
         edges: list[Any] = [self.chip.edges, of_pio_1]
         return [driver(edges[i >= _OF_PIO_0], i) for i in range(self.motors)]
 
-    def places(self) -> "list[int]":
+    def counted_steps(self) -> "list[int]":
         """Return the position given by the steps received."""
         return [seen.place for seen in self.drivers()]
 
-    def position(self) -> "list[int]":
+    def reported_steps(self) -> "list[int]":
         """Return the position that the engine reports."""
         steps = array("i", [0] * self.motors)
         self.engine.position(steps)
         return list(steps)
 
-    def rises(self) -> int:
+    def total_steps(self) -> int:
         """Return the steps so far, of all motors."""
         return sum(pin in _STEP and level for _, pin, level in self.chip.edges)
 
 
 @contextmanager
-def a_bed(
+def engine_bench(
     timing: Timing = TIMINGS["usual"],
     latency: int = 0,
     counted: bool = True,
     flight: int = 1,
     motors: int = AXES,
-) -> "Iterator[Bed]":
-    """Yield a bed; no word may be lost without a fault.
+) -> "Iterator[EngineBench]":
+    """Yield a bench; no word may be lost without a fault.
 
     latency: of interrupts, in ticks. counted, flight: how DMA detects free space, and ticks of a
     word from it to a FIFO (pio_model.Channel).
     """
     with pytest.MonkeyPatch.context() as patch:
-        bed = Bed(patch, timing, motors)
-        bed.chip.latency = latency
-        for channel in bed.chip.channels:
+        bench = EngineBench(patch, timing, motors)
+        bench.chip.latency = latency
+        for channel in bench.chip.channels:
             channel.counted, channel.flight = counted, flight
-        yield bed
-        assert not bed.chip.lost() or bed.faults
+        yield bench
+        assert not bench.chip.lost() or bench.faults
 
 
 DMA_READINGS = st.tuples(st.booleans(), st.integers(1, 3))
 
 
-def begins(rows: "Iterable[array[int]]", drivers: "list[Driver]") -> "list[int | None]":
+def first_ticks(rows: "Iterable[array[int]]", drivers: "list[Driver]") -> "list[int | None]":
     """Return the first tick of each segment; None for one without steps.
 
     It follows from every step of every axis; all must agree.
     """
     steps = [iter(seen.steps) for seen in drivers]
-    first_ticks: list[int | None] = []
-    for made in rows:
+    ticks_of_rows: list[int | None] = []
+    for segment in rows:
         begin_ticks = set()  # of this segment, from each of its steps
         for axis, track in enumerate(steps):
             base = ROW_AXES + ROW_STRIDE * axis
-            for k in range(made[base]):
+            for k in range(segment[base]):
                 tick, level = next(track)
-                assert level == made[ROW_DIRS] >> axis & 1
-                begin_ticks.add(tick - step_tick(made, base, k))
+                assert level == segment[ROW_DIRS] >> axis & 1
+                begin_ticks.add(tick - step_tick(segment, base, k))
         assert len(begin_ticks) <= 1, "the axes' steps disagree"
-        first_ticks.append(begin_ticks.pop() if begin_ticks else None)
+        ticks_of_rows.append(begin_ticks.pop() if begin_ticks else None)
     assert not [step for track in steps for step in track], "steps that were not requested"
-    return first_ticks
+    return ticks_of_rows
 
 
-def rush(
+def fast_rows(
     ways: "Sequence[int]", timing: Timing = TIMINGS["usual"], motors: int = AXES
 ) -> "list[array[int]]":
     """Return a segment at the highest rate for each mask of directions (1: negative).
@@ -850,15 +854,15 @@ def rush(
     return [row(30 * gap, dirs, *(edges * 3)[:motors]) for dirs in ways]
 
 
-def clocked(words: Words, rows: "list[array[int]]") -> "list[int]":
+def clock_intervals(words: Words, rows: "list[array[int]]") -> "list[int]":
     """Return the ticks between the clock's interrupts.
 
     A segment of 80,000 ticks or more has one 40,000 ticks before its end, too.
     """
     intervals = []
-    for late, made in zip(words.late, rows, strict=True):
-        whole = late + made[ROW_TICKS]
-        intervals += [whole - 40_000, 40_000] if made[ROW_TICKS] >= 80_000 else [whole]
+    for late, segment in zip(words.delays, rows, strict=True):
+        whole = late + segment[ROW_TICKS]
+        intervals += [whole - 40_000, 40_000] if segment[ROW_TICKS] >= 80_000 else [whole]
     return intervals
 
 
@@ -882,52 +886,61 @@ def test_the_engine_makes_all_steps_at_their_ticks(name: str, latency: int) -> N
     """
     hz = 500_000 if name == "500 kHz" else 250_000
     timing = _shortest(hz)
-    rows = move(name) if name in MOVES else at_rate(hz, 15_000, (1.0, 1.0, -1.0), _engine_hz(hz))
+    rows = (
+        move_rows(name) if name in MOVES else at_rate(hz, 15_000, (1.0, 1.0, -1.0), _engine_hz(hz))
+    )
     if name == "whole segments":
         rows = at_rate(40_000, 3_000, (1.0, 1.0, -1.0))
-        rows = [made for made in rows if made[ROW_TICKS] > 80_000]
+        rows = [segment for segment in rows if segment[ROW_TICKS] > 80_000]
         assert len(rows) > 2
-    words = fed(rows, timing)
-    with a_bed(timing, latency) as bed:
-        bed.start(rows).finish()
+    words = words_of(rows, timing)
+    with engine_bench(timing, latency) as bench:
+        bench.start(rows).finish()
         shift = {  # ticks from start() to the first row: the same for every step
             tick - due
-            for seen, track in zip(bed.drivers(), words.due, strict=True)
+            for seen, track in zip(bench.drivers(), words.due, strict=True)
             for (tick, _), (due, _) in zip(seen.steps, track, strict=True)
         }
         assert len(shift) == 1, "the processor has delayed a step"
         # The first interrupt is caused by start().
-        assert [b - a for a, b in pairwise(bed.chip.interrupts[1:])] == clocked(words, rows)
-        assert 0 < bed.chip.interrupts[1] - shift.pop() < 10
-        assert bed.position() == bed.places()
+        assert [b - a for a, b in pairwise(bench.chip.interrupts[1:])] == clock_intervals(
+            words, rows
+        )
+        assert 0 < bench.chip.interrupts[1] - shift.pop() < 10
+        assert bench.reported_steps() == bench.counted_steps()
 
 
 def test_the_clock_waits_for_a_turn_like_the_machines() -> None:
     """A turn delays its segment, and with it the clock's interrupt; here in a segment of 3 ticks,
     which is shorter than the clock's own loop."""
-    rows = [*rush([0] * 5), row(3, 7, *[(1, 2, 2)] * AXES), *rush([7] * 2)]
-    words = fed(rows)
-    assert words.late[5] > 100  # the segment that turns all axes
-    with a_bed() as bed:
-        bed.start(rows).finish()
-        assert [b - a for a, b in pairwise(bed.chip.interrupts[1:])] == clocked(words, rows)
+    rows = [*fast_rows([0] * 5), row(3, 7, *[(1, 2, 2)] * AXES), *fast_rows([7] * 2)]
+    words = words_of(rows)
+    assert words.delays[5] > 100  # the segment that turns all axes
+    with engine_bench() as bench:
+        bench.start(rows).finish()
+        assert [b - a for a, b in pairwise(bench.chip.interrupts[1:])] == clock_intervals(
+            words, rows
+        )
 
 
 @pytest.mark.thorough
 def test_the_engine_knows_its_position_in_motion() -> None:
-    """Asked often at the start, then at irregular times until the end."""
-    rows = move("fast")
-    with a_bed() as bed:
-        bed.start(rows)
+    """Its reported steps are read often at the start, then at irregular times until the end."""
+    rows = move_rows("fast")
+    with engine_bench() as bench:
+        bench.start(rows)
         for pause in chain([777] * 50, cycle([9_973, 41, 20_011])):
-            bed.chip.run(pause)
-            if bed.engine.idle():
+            bench.chip.run(pause)
+            if bench.engine.idle():
                 break
             # Its timer counts microseconds; a step may come in between.
-            off = [abs(a - b) for a, b in zip(bed.position(), bed.places(), strict=True)]
+            off = [
+                abs(a - b)
+                for a, b in zip(bench.reported_steps(), bench.counted_steps(), strict=True)
+            ]
             assert max(off) <= 1
         # The last target of the move: (8.0, -6.5, 0.0) mm at 400 steps/mm.
-        assert bed.position() == bed.places() == [3200, -2600, 0]
+        assert bench.reported_steps() == bench.counted_steps() == [3200, -2600, 0]
 
 
 @pytest.mark.parametrize("motors", MOTORS)
@@ -941,16 +954,16 @@ def test_a_stop_of_the_engine_is_immediate_and_leaves_the_true_position(
     dma: arguments counted and flight of a_bed().
     """
     timing, rows = data.draw(timed_segments(14, motors))
-    with a_bed(timing, latency, *dma, motors) as bed:
-        bed.start(rows)
-        bed.chip.run(data.draw(st.integers(0, 2 * latency + sum(r[ROW_TICKS] for r in rows))))
-        bed.engine.stop()
-        edges = len(bed.chip.edges)
-        assert bed.engine.idle()
-        assert bed.position() == bed.places()
-        bed.chip.run(3000)
-        assert len(bed.chip.edges) == edges
-        assert bed.position() == bed.places()
+    with engine_bench(timing, latency, *dma, motors) as bench:
+        bench.start(rows)
+        bench.chip.run(data.draw(st.integers(0, 2 * latency + sum(r[ROW_TICKS] for r in rows))))
+        bench.engine.stop()
+        edges = len(bench.chip.edges)
+        assert bench.engine.idle()
+        assert bench.reported_steps() == bench.counted_steps()
+        bench.chip.run(3000)
+        assert len(bench.chip.edges) == edges
+        assert bench.reported_steps() == bench.counted_steps()
 
 
 @pytest.mark.sampled(1)
@@ -966,24 +979,24 @@ def test_motion_after_a_stop_keeps_the_drivers_times(motors: int, data: Any) -> 
     """
     timing = data.draw(st.sampled_from(sorted(TIMINGS.values())))
     ways = st.lists(st.integers(0, (1 << motors) - 1), min_size=3, max_size=3)
-    with a_bed(timing, 0, *data.draw(DMA_READINGS), motors) as bed:
-        rows = rush(data.draw(ways), timing, motors)
-        bed.start(rows)
-        bed.chip.run(data.draw(st.integers(0, sum(made[ROW_TICKS] for made in rows))))
-        bed.engine.stop()
-        stop_tick, before = bed.chip.now, bed.places()
-        bed.engine.set_position(array("i", [0] * motors))
-        rows = rush(data.draw(ways), timing, motors)
-        bed.again(rows).finish()
-        moved = [b - a for a, b in zip(before, bed.places(), strict=True)]
-        assert bed.position() == moved
-        drivers = bed.drivers()
+    with engine_bench(timing, 0, *data.draw(DMA_READINGS), motors) as bench:
+        rows = fast_rows(data.draw(ways), timing, motors)
+        bench.start(rows)
+        bench.chip.run(data.draw(st.integers(0, sum(segment[ROW_TICKS] for segment in rows))))
+        bench.engine.stop()
+        stop_tick, before = bench.chip.now, bench.counted_steps()
+        bench.engine.set_position(array("i", [0] * motors))
+        rows = fast_rows(data.draw(ways), timing, motors)
+        bench.restart(rows).finish()
+        moved = [b - a for a, b in zip(before, bench.counted_steps(), strict=True)]
+        assert bench.reported_steps() == moved
+        drivers = bench.drivers()
         for seen in drivers:
             assert all(length >= ticks(timing[0]) for length in seen.pulses)
             assert seen.hold >= ticks(timing[1])
             assert seen.setup >= ticks(timing[2])
             seen.steps = [step for step in seen.steps if step[0] >= stop_tick]
-        begins(rows, drivers)  # checks that exactly the steps of these rows were made
+        first_ticks(rows, drivers)  # checks that exactly the steps of these rows were made
 
 
 @pytest.mark.parametrize("motors", MOTORS)
@@ -995,42 +1008,42 @@ def test_a_turn_cut_off_by_a_stop_is_repeated(motors: int) -> None:
     others' delay.
     """
     back = (1 << motors) - 1  # all motors
-    with a_bed(motors=motors) as bed:
-        bed.start(rush([0, back], motors=motors))
-        bed.chip.run(2000)  # ticks: in the first segment
-        bed.engine.stop()
-        bed.again(rush([back], motors=motors)).finish()
-        bed.engine.stop()
-        bed.again(rush([back >> 1], motors=motors)).finish()
-        for seen in bed.drivers():
+    with engine_bench(motors=motors) as bench:
+        bench.start(fast_rows([0, back], motors=motors))
+        bench.chip.run(2000)  # ticks: in the first segment
+        bench.engine.stop()
+        bench.restart(fast_rows([back], motors=motors)).finish()
+        bench.engine.stop()
+        bench.restart(fast_rows([back >> 1], motors=motors)).finish()
+        for seen in bench.drivers():
             assert {level for _, level in seen.steps} == {0, 1}
-            assert seen.setup >= ticks(bed.timing[2])
+            assert seen.setup >= ticks(bench.timing[2])
 
 
 @pytest.mark.sampled(1)
-@pytest.mark.parametrize(("motors", "each"), [(3, 7), (6, 19), (8, 31)])
-def test_a_stop_may_interrupt_the_engines_own_interrupt(motors: int, each: int) -> None:
-    """A limit switch closes while the engine works: after every `each` accesses to memory; in the
+@pytest.mark.parametrize(("motors", "every"), [(3, 7), (6, 19), (8, 31)])
+def test_a_stop_may_interrupt_the_engines_own_interrupt(motors: int, every: int) -> None:
+    """A limit switch closes while the engine works: after every `every` accesses to memory; in the
     first ring after every 4 times as many."""
-    rows = rush([0, 255, 5], motors=motors)
-    with a_bed(motors=motors) as bed:
-        total = bed.start(rows).finish().chip.accesses  # to memory and registers
+    rows = fast_rows([0, 255, 5], motors=motors)
+    with engine_bench(motors=motors) as bench:
+        total = bench.start(rows).finish().chip.accesses  # to memory and registers
     assert total > 1000
-    for after in range(1, total, 4 * each if rings.is_first() else each):
-        with a_bed(motors=motors) as bed:
+    for after in range(1, total, 4 * every if rings.is_first() else every):
+        with engine_bench(motors=motors) as bench:
             places: list[list[int]] = []
 
-            def stop(bed: Bed = bed, places: "list[list[int]]" = places) -> None:
-                bed.engine.stop()
-                places.append(bed.places())
+            def stop(bench: EngineBench = bench, places: "list[list[int]]" = places) -> None:
+                bench.engine.stop()
+                places.append(bench.counted_steps())
 
-            bed.chip.preempt(after, stop)
-            bed.start(rows)
+            bench.chip.preempt(after, stop)
+            bench.start(rows)
             while not places:
-                bed.chip.run(100)
-            bed.chip.run(300)
-            assert bed.engine.idle()
-            assert [bed.position()] == [bed.places()] == places
+                bench.chip.run(100)
+            bench.chip.run(300)
+            assert bench.engine.idle()
+            assert [bench.reported_steps()] == [bench.counted_steps()] == places
 
 
 @pytest.mark.parametrize("motors", [3, 6, 8])
@@ -1042,25 +1055,25 @@ def test_a_stop_may_interrupt_the_main_loops_calls(work: str, motors: int) -> No
     Each round stops one or a few accesses later, until the call ends before the stop.
     """
     for after in range(1, 1000, 2 if motors == AXES else 5):
-        with a_bed(motors=motors) as bed:
+        with engine_bench(motors=motors) as bench:
             steps = array("i", [0] * motors)
             calls: dict[str, Callable[[], None]] = {
-                "stop": bed.engine.stop,
-                "lock": lambda bed=bed: bed.engine.lock(0b110100),
-                "position": lambda bed=bed, steps=steps: bed.engine.position(steps),
+                "stop": bench.engine.stop,
+                "lock": lambda bench=bench: bench.engine.lock(0b110100),
+                "position": lambda bench=bench, steps=steps: bench.engine.position(steps),
             }
-            bed.start(rush([0, 0], motors=motors))
-            bed.chip.run(2500)  # ticks: during the motion
-            bed.engine.lock(0b010)  # Y
-            bed.chip.run(1100)
-            before = bed.chip.accesses
-            bed.chip.preempt(after, bed.engine.stop)
-            bed.chip.interruptible(calls[work])
-            if bed.chip.accesses - before < after:
+            bench.start(fast_rows([0, 0], motors=motors))
+            bench.chip.run(2500)  # ticks: during the motion
+            bench.engine.lock(0b010)  # Y
+            bench.chip.run(1100)
+            before = bench.chip.accesses
+            bench.chip.preempt(after, bench.engine.stop)
+            bench.chip.interruptible(calls[work])
+            if bench.chip.accesses - before < after:
                 break  # the call ended before the stop: every access was tried
-            assert bed.position() == bed.places()
+            assert bench.reported_steps() == bench.counted_steps()
             if work == "position":
-                off = [abs(a - b) for a, b in zip(steps, bed.places(), strict=True)]
+                off = [abs(a - b) for a, b in zip(steps, bench.counted_steps(), strict=True)]
                 assert max(off) <= 1
     else:
         raise AssertionError("the call never ended before the stop")
@@ -1076,46 +1089,47 @@ def test_late_interrupts_lose_no_step(motors: int, data: Any, latencies: "list[i
     latencies: ticks of the interrupts in turn; 9000 are 0.7 ms.
     """
     rows = data.draw(segments(gap=160, most=12, motors=motors))
-    with a_bed(motors=motors) as bed:
-        bed.start(rows).late_by(latencies)
-        begins(rows, bed.drivers())
-        assert bed.position() == bed.places()
-        for seen in bed.drivers():
-            check_times(seen, bed.timing)
+    with engine_bench(motors=motors) as bench:
+        bench.start(rows).finish_with_latencies(latencies)
+        first_ticks(rows, bench.drivers())
+        assert bench.reported_steps() == bench.counted_steps()
+        for seen in bench.drivers():
+            check_times(seen, bench.timing)
 
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("latency", [0, 60_000])
 @pytest.mark.parametrize(
-    ("motors", "one"), [(motors, one) for motors in MOTORS for one in range(1, motors)]
+    ("motors", "locked_axis"),
+    [(motors, locked_axis) for motors in MOTORS for locked_axis in range(1, motors)],
 )
 def test_a_locked_axis_stands_still_and_the_others_continue(
-    motors: int, one: int, latency: int
+    motors: int, locked_axis: int, latency: int
 ) -> None:
     """Also if motion pauses meanwhile (late interrupts) and all machines are started again.
 
-    one: the axis that is locked. After a stop it moves again.
+    After a stop the locked axis moves again. latency: of interrupts, in ticks.
     """
-    each = ([30, 30, 7] * 3)[:motors]  # steps of a row
-    with a_bed(motors=motors) as bed:
-        bed.start(rush([0] * 8 + [255] * 12, motors=motors))
-        bed.chip.run(6000)  # ticks: in the first rows
-        bed.chip.latency = latency
-        bed.engine.lock(1 << one)
-        locked = bed.places()[one]
-        assert bed.position()[one] == locked > 0
-        bed.finish()
-        ends = [-4 * steps for steps in each]  # 8 rows forwards, 12 backwards
-        ends[one] = locked
-        assert bed.places() == bed.position() == ends
-        bed.chip.latency = 0
-        bed.engine.stop()
-        assert bed.position() == bed.places()
+    row_steps = ([30, 30, 7] * 3)[:motors]  # steps of a row
+    with engine_bench(motors=motors) as bench:
+        bench.start(fast_rows([0] * 8 + [255] * 12, motors=motors))
+        bench.chip.run(6000)  # ticks: in the first rows
+        bench.chip.latency = latency
+        bench.engine.lock(1 << locked_axis)
+        locked_at = bench.counted_steps()[locked_axis]
+        assert bench.reported_steps()[locked_axis] == locked_at > 0
+        bench.finish()
+        ends = [-4 * steps for steps in row_steps]  # 8 rows forwards, 12 backwards
+        ends[locked_axis] = locked_at
+        assert bench.counted_steps() == bench.reported_steps() == ends
+        bench.chip.latency = 0
+        bench.engine.stop()
+        assert bench.reported_steps() == bench.counted_steps()
         # One more row: backwards, except the axis that was locked.
-        bed.again(rush([255 - (1 << one)], motors=motors)).finish()
-        ends = [at - steps for at, steps in zip(ends, each, strict=True)]
-        ends[one] = locked + each[one]
-        assert bed.position() == bed.places() == ends
+        bench.restart(fast_rows([255 - (1 << locked_axis)], motors=motors)).finish()
+        ends = [at - steps for at, steps in zip(ends, row_steps, strict=True)]
+        ends[locked_axis] = locked_at + row_steps[locked_axis]
+        assert bench.reported_steps() == bench.counted_steps() == ends
 
 
 @pytest.mark.parametrize("count", [4000, 60_000, 131_072])
@@ -1126,27 +1140,29 @@ def test_segments_are_requested_shortly_before_they_begin(count: int) -> None:
     count: ticks of a segment.
     """
     rows = [row(count, 0, *[(9, 400, count)] * AXES) for _ in range(240_000 // count + 3)]
-    with a_bed() as bed:
-        bed.start(rows).finish()
-        starts = [start or 0 for start in begins(rows, bed.drivers())]
-        ahead = [start - asked for start, asked in zip(starts, bed.asked, strict=True)]  # ticks
+    with engine_bench() as bench:
+        bench.start(rows).finish()
+        starts = [start or 0 for start in first_ticks(rows, bench.drivers())]
+        ahead = [
+            start - asked for start, asked in zip(starts, bench.request_ticks, strict=True)
+        ]  # ticks
         assert max(ahead) <= 40_000 + (2 * count if count < 80_000 else 0)
         assert min(ahead[len(rows) // 2 :]) >= 39_000  # without the first ones: nothing ran yet
 
 
 @pytest.mark.parametrize("latency", [0, 700])
 def test_power_is_reported_when_its_segment_begins(latency: int) -> None:
-    """Only changes are reported; KEEP_POWER is none."""
-    rows = rush([0] * 12)
+    """Only changes are reported; KEEP_POWER changes nothing."""
+    rows = fast_rows([0] * 12)
     powers = [5, 5, 9, KEEP_POWER, 9, 0, 300, 300, 300, KEEP_POWER, 1, 1]
-    for made, power in zip(rows, powers, strict=True):
-        made[ROW_POWER] = power
-    with a_bed(latency=latency) as bed:
-        bed.start(rows).finish()
-        starts = begins(rows, bed.drivers())
-        assert [power for _, power in bed.powers] == [5, 9, 0, 300, 1]
+    for segment, power in zip(rows, powers, strict=True):
+        segment[ROW_POWER] = power
+    with engine_bench(latency=latency) as bench:
+        bench.start(rows).finish()
+        starts = first_ticks(rows, bench.drivers())
+        assert [power for _, power in bench.powers] == [5, 9, 0, 300, 1]
         # k: the row that brings the change.
-        for (tick, _), k in zip(bed.powers, (0, 2, 5, 6, 10), strict=True):
+        for (tick, _), k in zip(bench.powers, (0, 2, 5, 6, 10), strict=True):
             # The first step may have to wait some ticks; the interrupt takes a tick per register.
             assert -16 <= tick - (starts[k] or 0) <= latency + 50
 
@@ -1158,11 +1174,11 @@ def test_power_after_motion_is_that_of_the_last_segment(
 ) -> None:
     """However late interrupts come: power of some segments may be skipped, never the last
     one's."""
-    for k, made in enumerate(rows):
-        made[ROW_POWER] = 900 - k  # falls from row to row: shows the order
-    with a_bed() as bed:
-        bed.start(rows).late_by(latencies)
-        reported = [power for _, power in bed.powers]
+    for k, segment in enumerate(rows):
+        segment[ROW_POWER] = 900 - k  # falls from row to row: shows the order
+    with engine_bench() as bench:
+        bench.start(rows).finish_with_latencies(latencies)
+        reported = [power for _, power in bench.powers]
         assert reported == sorted(set(reported), reverse=True)
         assert reported[-1] == rows[-1][ROW_POWER]
 
@@ -1170,49 +1186,49 @@ def test_power_after_motion_is_that_of_the_last_segment(
 @pytest.mark.parametrize("after", range(300, 8000, 700))
 def test_no_power_is_reported_after_a_stop(after: int) -> None:
     """after: ticks from the start to the stop; the interrupts are 450 ticks late."""
-    rows = rush([0] * 7)
-    for k, made in enumerate(rows):
-        made[ROW_POWER] = k
-    with a_bed(latency=450) as bed:
-        bed.start(rows)
-        bed.chip.run(after)
-        bed.engine.stop()
-        reports = len(bed.powers)
-        bed.chip.run(3000)
-        assert len(bed.powers) == reports
+    rows = fast_rows([0] * 7)
+    for k, segment in enumerate(rows):
+        segment[ROW_POWER] = k
+    with engine_bench(latency=450) as bench:
+        bench.start(rows)
+        bench.chip.run(after)
+        bench.engine.stop()
+        reports = len(bench.powers)
+        bench.chip.run(3000)
+        assert len(bench.powers) == reports
 
 
 def test_a_long_segment_is_played_in_pieces() -> None:
-    """As at 10 steps/s, between fast segments."""
+    """A segment of 104 ms with 2 steps of X, as at 10 steps/s, between fast ones."""
     long = row(1_300_000, 2, (2, 650_000, 1_300_000), (1, 9, 9), (0, 0, 0))
-    rows = [*rush([0, 0]), long, *rush([1])]
-    with a_bed() as bed:
-        bed.start(rows).finish()
-        starts = [start or 0 for start in begins(rows, bed.drivers())]
+    rows = [*fast_rows([0, 0]), long, *fast_rows([1])]
+    with engine_bench() as bench:
+        bench.start(rows).finish()
+        starts = [start or 0 for start in first_ticks(rows, bench.drivers())]
         # The row after the long one turns X and Y back or forth, which delays it.
-        assert starts[3] - starts[2] == long[ROW_TICKS] + fed(rows).late[-1]
-        assert bed.position() == bed.places()
+        assert starts[3] - starts[2] == long[ROW_TICKS] + words_of(rows).delays[-1]
+        assert bench.reported_steps() == bench.counted_steps()
 
 
 def test_pins_are_inverted_on_request() -> None:
     """Levels at the pins, also while idle: STEP of the second motor, DIR of the first and
     third."""
-    with a_bed() as bed:
-        bed.engine.configure(10, 0b010, 0b101)  # pulse in us, inversion of STEP and of DIR
-        pins = [bed.chip.mcu.gpio[pin] for pin in (*STEP, *DIR)]
+    with engine_bench() as bench:
+        bench.engine.configure(10, 0b010, 0b101)  # pulse in us, inversion of STEP and of DIR
+        pins = [bench.chip.mcu.gpio[pin] for pin in (*STEP, *DIR)]
         assert [pin.value.name for pin in pins] == ["LOW", "HIGH", "LOW", "HIGH", "LOW", "HIGH"]
-        bed.chip.edges.clear()
-        bed.start(rush([0b001])).finish()  # X backwards, 30 steps of Y
-        assert sum(pin == STEP[1] and not level for _, pin, level in bed.chip.edges) == 30
-        assert [level for _, pin, level in bed.chip.edges if pin == DIR[0]] == [0]
-        bed.engine.configure(10, 0, 0)  # X's DIR is high now: backwards, not inverted
+        bench.chip.edges.clear()
+        bench.start(fast_rows([0b001])).finish()  # X backwards, 30 steps of Y
+        assert sum(pin == STEP[1] and not level for _, pin, level in bench.chip.edges) == 30
+        assert [level for _, pin, level in bench.chip.edges if pin == DIR[0]] == [0]
+        bench.engine.configure(10, 0, 0)  # X's DIR is high now: backwards, not inverted
         assert [pin.value.name for pin in pins] == ["LOW", "LOW", "LOW", "HIGH", "LOW", "LOW"]
 
 
 def test_the_highest_rate_depends_on_the_pulse_length() -> None:
     """12 ticks between two pulses: the program's 9, and 3 as a margin for rounding."""
-    with a_bed() as bed:
-        stated = [bed.engine.max_step_hz(us) for us in (1, 3, 5, 10, 255)]
+    with engine_bench() as bench:
+        stated = [bench.engine.max_step_hz(us) for us in (1, 3, 5, 10, 255)]
         assert stated == [HZ // (ticks(us) + 12) for us in (1, 3, 5, 10, 255)]
         assert stated[:2] == [500_000, 250_000]
 
@@ -1224,11 +1240,11 @@ def test_a_processor_clock_of_whole_ticks_is_required(
     """A tick is 80 ns: a machine's clock divider must be a whole number."""
     monkeypatch.setattr(machine, "freq", lambda: hz)
     if hz % HZ:
-        with pytest.raises(ValueError, match=r"12\.5 MHz"), a_bed():
+        with pytest.raises(ValueError, match=r"12\.5 MHz"), engine_bench():
             pass
     else:
-        with a_bed() as bed:
-            assert bed.engine.tick_hz == HZ
+        with engine_bench() as bench:
+            assert bench.engine.tick_hz == HZ
             machines = rp2.StateMachine.machines.values()
             assert [one.freq for one in machines] == [HZ] * (AXES + 1)  # axes and the clock
 
@@ -1236,7 +1252,7 @@ def test_a_processor_clock_of_whole_ticks_is_required(
 def test_rp2350_registers_match_its_data_sheet() -> None:
     """Addresses only: the model is the RP2040's with these moved. PIO 0 and 1 have the same
     addresses on both chips."""
-    with a_bed(), pytest.MonkeyPatch.context() as patch:
+    with engine_bench(), pytest.MonkeyPatch.context() as patch:
         state = memory.Memory(AXES, True).state  # True: of an RP2350
         timer, masked, busy = state_layout.TIMER, state_layout.MASKED_IRQS, state_layout.BUSY
         assert state[timer] == 0x400B0000 + 0x28  # TIMER0, TIMERAWL
@@ -1248,20 +1264,20 @@ def test_rp2350_registers_match_its_data_sheet() -> None:
         # GPIOn_CTRL of IO_BANK0; 6: the function PIO 0.
         registers: dict[int, int] = {0x40028004 + 8 * pin: 6 for pin in pins}
         patch.setattr(machine, "mem32", registers)
-        made = PioEngine(_STEP[:6], _DIR[:6])
-        made.configure(10, 0b100001, 0b000100)  # pulse in us, inversion of STEP and of DIR
+        segment = PioEngine(_STEP[:6], _DIR[:6])
+        segment.configure(10, 0b100001, 0b000100)  # pulse in us, inversion of STEP and of DIR
         inverted = {STEP[0], _STEP[5], DIR[2]}
         for pin in pins:  # GPIOn_CTRL, OUTOVER in bits 13:12
             assert registers[0x40028004 + 8 * pin] == 6 | (pin in inverted) << 12
-        sixth = made._memory.lanes[pulses.LANE * 5 + pulses.MACHINE]
+        sixth = segment._memory.lanes[pulses.LANE * 5 + pulses.MACHINE]
         assert sixth == 0x50300000 + 0xE0  # PIO 1, SM1_CLKDIV
-        assert made._engine_state[state_layout.CLOCK_PIO] == 0x50300000
+        assert segment._engine_state[state_layout.CLOCK_PIO] == 0x50300000
         patch.setattr(rp2.DMA, "claimed", 0)
-        made = PioEngine(_STEP[:8], _DIR[:8])
-        eighth = made._memory.lanes[pulses.LANE * 7 + pulses.MACHINE]
+        segment = PioEngine(_STEP[:8], _DIR[:8])
+        eighth = segment._memory.lanes[pulses.LANE * 7 + pulses.MACHINE]
         assert eighth == 0x50300000 + 0x110  # PIO 1, SM3_CLKDIV
-        assert made._engine_state[state_layout.CLOCK_PIO] == 0x50400000  # PIO 2
-        assert made._engine_state[masked] == 1 << 21 | 1 << 19 | 1 << 17 | 0b1111  # PIO2_IRQ_0
+        assert segment._engine_state[state_layout.CLOCK_PIO] == 0x50400000  # PIO 2
+        assert segment._engine_state[masked] == 1 << 21 | 1 << 19 | 1 << 17 | 0b1111  # PIO2_IRQ_0
         with pytest.raises(ValueError, match="only pins 0 to 31 make pulses"):
             PioEngine((2, 4, 6), (3, 5, 32))
 
@@ -1316,5 +1332,5 @@ def test_the_laser_program_plays_words_at_the_times_of_steps(
 )
 def test_the_pwm_slice_of_a_laser_pin_matches_the_data_sheet(pin: int, place: int) -> None:
     """Data sheet of the RP2040: 4.5.3 has the registers, 1.4.3 the pins."""
-    with a_bed():
+    with engine_bench():
         assert slice_of(pin) == place

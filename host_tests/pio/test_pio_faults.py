@@ -3,10 +3,10 @@
 The law: after a stop no further step is made, the position is that of the steps made, and arm()
 and start() set the machine in motion again.
 
-rush() makes segments at the highest rate, one for each mask of directions (a bit per motor, 1 is
-backwards): X and Y make 30 steps in each, Z 7. A bed has the engine on a model of the chip;
-chip.run() takes ticks of 80 ns, rises() counts the steps of all motors, places() sums them per
-motor, position() is what the engine reports. again() starts motion after a stop.
+fast_rows() makes segments at the highest rate, one for each mask of directions (a bit per motor, 1
+is backwards): X and Y make 30 steps in each, Z 7. A bench has the engine on a model of the chip;
+chip.run() takes ticks of 80 ns, total_steps() counts the steps of all motors, counted_steps() sums
+them per motor, reported_steps() is what the engine reports. restart() starts motion after a stop.
 """
 
 import sys
@@ -25,7 +25,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from laws import some
 from pio import engine_state, programs
-from test_pio import AXES, DMA_READINGS, MOTORS, Bed, a_bed, reckon, rush, ticks, word
+from test_pio import (
+    AXES,
+    DMA_READINGS,
+    MOTORS,
+    EngineBench,
+    compute_steps,
+    engine_bench,
+    fast_rows,
+    ticks,
+    word,
+)
 
 # Many cases of each: the first ring runs a sample.
 pytestmark = pytest.mark.sampled(2)
@@ -41,25 +51,25 @@ _SM2_TXF, _SM2_ADDR, _SM2_INSTR = 0x18, 0x104, 0x108
 _FIRMWARE = str(Path(engine_state.__file__).parent)
 
 
-def check_stopped(bed: Bed, made: int) -> None:
+def check_stopped(bench: EngineBench, steps_before: int) -> None:
     """Check that no further step is made until arm(), and that motion works after it.
 
-    made: steps of all motors before the stop.
+    steps_before: of all motors, before the stop.
     """
-    bed.chip.run(1000)
-    assert bed.rises() == made
-    bed.engine.start()  # without arm()
-    bed.chip.run(700)
-    assert bed.rises() == made, "a stopped engine has been started"
-    assert bed.engine.idle()
-    assert bed.position() == bed.places()
-    before = bed.places()
+    bench.chip.run(1000)
+    assert bench.total_steps() == steps_before
+    bench.engine.start()  # without arm()
+    bench.chip.run(700)
+    assert bench.total_steps() == steps_before, "a stopped engine has been started"
+    assert bench.engine.idle()
+    assert bench.reported_steps() == bench.counted_steps()
+    before = bench.counted_steps()
     # 400 ticks; 3 steps of every motor, from tick 0 to 300; every second motor forwards.
-    bed.again([array("i", [400, 0b01010101, 0, *(3, 0, 300) * bed.motors])]).finish()
-    moved = [b - a for a, b in zip(before, bed.places(), strict=True)]
-    assert moved == [-3, 3, -3, 3, -3, 3, -3, 3][: bed.motors]
-    assert bed.position() == bed.places()
-    assert bed.engine.fault() == ""
+    bench.restart([array("i", [400, 0b01010101, 0, *(3, 0, 300) * bench.motors])]).finish()
+    moved = [b - a for a, b in zip(before, bench.counted_steps(), strict=True)]
+    assert moved == [-3, 3, -3, 3, -3, 3, -3, 3][: bench.motors]
+    assert bench.reported_steps() == bench.counted_steps()
+    assert bench.engine.fault() == ""
 
 
 # Stops
@@ -72,11 +82,11 @@ def test_a_stop_at_any_instant_is_exact(
     motors: int, after: int, latency: int, dma: "tuple[bool, int]"
 ) -> None:
     """after: ticks from the start to the stop; latency: of interrupts, in ticks."""
-    with a_bed(latency=latency, counted=dma[0], flight=dma[1], motors=motors) as bed:
-        bed.start(rush([0, 63, 37, 26], motors=motors))
-        bed.chip.run(after)
-        bed.engine.stop()
-        check_stopped(bed, bed.rises())
+    with engine_bench(latency=latency, counted=dma[0], flight=dma[1], motors=motors) as bench:
+        bench.start(fast_rows([0, 63, 37, 26], motors=motors))
+        bench.chip.run(after)
+        bench.engine.stop()
+        check_stopped(bench, bench.total_steps())
 
 
 @pytest.mark.parametrize("motors", [3, 6])
@@ -86,13 +96,13 @@ def test_repeated_stops_lose_no_word(counted: bool, motors: int) -> None:
 
     Register 0x800 of a channel is its count of free places in a FIFO: there are four.
     """
-    with a_bed(counted=counted, flight=2, motors=motors) as bed:
+    with engine_bench(counted=counted, flight=2, motors=motors) as bench:
         for k in range(40):
-            bed.again(rush([0, 63, 5], motors=motors)).chip.run(137 * k % 4001)
-            bed.engine.stop()
-            assert bed.position() == bed.places()
-        assert bed.engine.fault() == ""
-        assert all(channel.read(0x800) <= 4 for channel in bed.chip.channels)
+            bench.restart(fast_rows([0, 63, 5], motors=motors)).chip.run(137 * k % 4001)
+            bench.engine.stop()
+            assert bench.reported_steps() == bench.counted_steps()
+        assert bench.engine.fault() == ""
+        assert all(channel.read(0x800) <= 4 for channel in bench.chip.channels)
 
 
 class Injector:
@@ -101,11 +111,11 @@ class Injector:
     A line is identified by its number and by how often it was reached before.
     """
 
-    def __init__(self, bed: Bed, opcodes: bool) -> None:
+    def __init__(self, bench: EngineBench, opcodes: bool) -> None:
         self.seen: dict[tuple[str, int], int] = {}
-        self.at: tuple[tuple[str, int], int] | None = None
-        self.made = -1  # steps made when the stop came
-        self._bed = bed
+        self.stop_point: tuple[tuple[str, int], int] | None = None
+        self.steps_at_stop = -1  # steps made when the stop came
+        self._bed = bench
         self._event = "opcode" if opcodes else "line"
         self._due = False
 
@@ -115,14 +125,14 @@ class Injector:
         Where it has masked the pins' interrupts, the stop waits for the end of that part.
         """
         code = frame.f_code
-        if not code.co_filename.startswith(_FIRMWARE) or self.made >= 0:
+        if not code.co_filename.startswith(_FIRMWARE) or self.steps_at_stop >= 0:
             return None
         frame.f_trace_opcodes = self._event == "opcode"
         if event == self._event:
             place = frame.f_lasti if self._event == "opcode" else frame.f_lineno
             key = (code.co_name, place)
             self.seen[key] = count = self.seen.get(key, 0) + 1
-            self._due = self._due or (key, count) == self.at
+            self._due = self._due or (key, count) == self.stop_point
             if self._due and self._bed.chip._pins_may:
                 self._stop()
         return self.trace
@@ -130,36 +140,36 @@ class Injector:
     def _stop(self) -> None:
         sys.settrace(None)
         self._bed.engine.stop()
-        self.made = self._bed.rises()
-        assert self._bed.position() == self._bed.places()
+        self.steps_at_stop = self._bed.total_steps()
+        assert self._bed.reported_steps() == self._bed.counted_steps()
 
 
 @contextmanager
-def injected(
-    opcodes: bool, motors: int, at: "tuple[tuple[str, int], int] | None"
+def stopped_at(
+    opcodes: bool, motors: int, stop_point: "tuple[tuple[str, int], int] | None"
 ) -> "Iterator[Any]":
-    """Yield a bed and its injector, after motion with a stop at that point (function, line or
-    bytecode, and occurrence); without `at`, there is no stop and all points are recorded."""
-    with a_bed(latency=300, motors=motors) as bed:
-        injector = Injector(bed, opcodes)
-        injector.at = at
+    """Yield a bench and its injector, after motion with a stop at that point (function, line or
+    bytecode, and occurrence); with None there is no stop and all points are recorded."""
+    with engine_bench(latency=300, motors=motors) as bench:
+        injector = Injector(bench, opcodes)
+        injector.stop_point = stop_point
         before = sys.gettrace()
         sys.settrace(injector.trace)
         try:
-            bed.start(rush([0, 63, 5], motors=motors))
-            bed.chip.run(7000)  # ticks
+            bench.start(fast_rows([0, 63, 5], motors=motors))
+            bench.chip.run(7000)  # ticks
         finally:
             sys.settrace(before)
-        yield bed, injector
+        yield bench, injector
 
 
-def places(
+def points_of(
     opcodes: bool, motors: int, names: "Iterable[str]"
 ) -> "Iterator[tuple[tuple[str, int], int]]":
     """Yield every point in these functions (name, line or bytecode), with 1 for its first
     occurrence and the number of its last one."""
-    with injected(opcodes, motors, None) as (bed, injector):
-        assert bed.finish().position() == bed.places()
+    with stopped_at(opcodes, motors, None) as (bench, injector):
+        assert bench.finish().reported_steps() == bench.counted_steps()
     wanted = {key: count for key, count in injector.seen.items() if key[0] in names}
     assert {name for name, _ in wanted} == set(names)
     for key, count in wanted.items():
@@ -194,10 +204,10 @@ def test_a_stop_at_any_line_is_final(name: str, motors: int) -> None:
 def _check_injection(opcodes: bool, motors: int, name: str) -> None:
     """Stop the engine at each line, or bytecode (opcodes), of the function of this name."""
     stops = 0
-    for at in places(opcodes, motors, [name]):
-        with injected(opcodes, motors, at) as (bed, injector):
-            assert injector.made >= 0, f"no stop at {at}"
-            check_stopped(bed, injector.made)
+    for stop_point in points_of(opcodes, motors, [name]):
+        with stopped_at(opcodes, motors, stop_point) as (bench, injector):
+            assert injector.steps_at_stop >= 0, f"no stop at {stop_point}"
+            check_stopped(bench, injector.steps_at_stop)
             stops += 1
     assert stops > 3
 
@@ -212,39 +222,42 @@ def test_the_engines_interrupt_may_come_during_a_stop(work: str, motors: int) ->
     Each round has it two accesses later, until the call ends before it.
     """
     for after in range(1, 600, 2):
-        with a_bed(latency=10_000, motors=motors) as bed:
-            bed.start(rush([0, 0, 0, 0], motors=motors))
-            bed.chip.run(19_000)  # the clock waits, the interrupt is pending
-            made = bed.rises()
-            assert made == sum(abs(steps) for steps in bed.position())
-            before = bed.chip.accesses
-            bed.chip.preempt(after, _interrupt(bed))
-            bed.chip.interruptible(bed.engine.stop if work == "stop" else _lock_y(bed))
-            bed.chip._preempt = None
-            ended_before = bed.chip.accesses - before < after
+        with engine_bench(latency=10_000, motors=motors) as bench:
+            bench.start(fast_rows([0, 0, 0, 0], motors=motors))
+            bench.chip.run(19_000)  # the clock waits, the interrupt is pending
+            steps_before = bench.total_steps()
+            assert steps_before == sum(abs(steps) for steps in bench.reported_steps())
+            before = bench.chip.accesses
+            bench.chip.preempt(after, _interrupt(bench))
+            bench.chip.interruptible(bench.engine.stop if work == "stop" else _lock_y(bench))
+            bench.chip._preempt = None
+            ended_before = bench.chip.accesses - before < after
             if work == "stop":
-                check_stopped(bed, made)
+                check_stopped(bench, steps_before)
             else:
-                y = bed.places()[1]
-                bed.finish()
-                assert bed.places()[1] == y and bed.position() == bed.places()
+                y = bench.counted_steps()[1]
+                bench.finish()
+                assert (
+                    bench.counted_steps()[1] == y
+                    and bench.reported_steps() == bench.counted_steps()
+                )
             if ended_before:
                 break
     assert ended_before and after > 10
 
 
-def _interrupt(bed: Bed) -> "Callable[[], None]":
+def _interrupt(bench: EngineBench) -> "Callable[[], None]":
     """Return a function that runs the pending interrupt now."""
 
     def come() -> None:
-        bed.chip._due = None  # it will not come again by itself
-        bed.chip.interrupt()
+        bench.chip._due = None  # it will not come again by itself
+        bench.chip.interrupt()
 
     return come
 
 
-def _lock_y(bed: Bed) -> "Callable[[], None]":
-    return lambda: bed.engine.lock(0b010)
+def _lock_y(bench: EngineBench) -> "Callable[[], None]":
+    return lambda: bench.engine.lock(0b010)
 
 
 # Rest
@@ -253,74 +266,78 @@ def _lock_y(bed: Bed) -> "Callable[[], None]":
 def test_rest_is_reported_whenever_the_machines_stand_still() -> None:
     """Once after each motion, not before its last pulse (10 us) has begun, and not after
     stop()."""
-    rows = rush([0] * 6)
-    with a_bed(latency=40) as bed:
-        bed.start(rows).finish()
-        assert len(bed.rests) == 1
-        assert bed.rests[0] >= max(tick for tick, _, _ in bed.chip.edges) - ticks(10)
-        bed.start(rush([0])).finish()
-        assert len(bed.rests) == 2
-        bed.start(rush([0]))
-        bed.chip.run(500)  # ticks: in motion
-        bed.engine.stop()
-        bed.chip.run(5000)
-        assert len(bed.rests) == 2, "the caller of stop() has switched the tool off"
+    rows = fast_rows([0] * 6)
+    with engine_bench(latency=40) as bench:
+        bench.start(rows).finish()
+        assert len(bench.stop_ticks) == 1
+        assert bench.stop_ticks[0] >= max(tick for tick, _, _ in bench.chip.edges) - ticks(10)
+        bench.start(fast_rows([0])).finish()
+        assert len(bench.stop_ticks) == 2
+        bench.start(fast_rows([0]))
+        bench.chip.run(500)  # ticks: in motion
+        bench.engine.stop()
+        bench.chip.run(5000)
+        assert len(bench.stop_ticks) == 2, "the caller of stop() has switched the tool off"
 
 
 def test_power_is_reported_again_after_a_rest() -> None:
     """Even if it is the same: the tool was switched off in between."""
-    with a_bed() as bed:
+    with engine_bench() as bench:
         for _ in range(2):
-            rows = rush([0])
+            rows = fast_rows([0])
             rows[0][2] = 77  # power
-            bed.start(rows).finish()
-        assert [power for _, power in bed.powers] == [77, 77]
+            bench.start(rows).finish()
+        assert [power for _, power in bench.powers] == [77, 77]
 
 
 def test_a_pause_resumed_at_once_is_not_reported_as_rest() -> None:
     """The interrupt was late; it makes the next segment and starts it at once."""
-    with a_bed(latency=20_000) as bed:
-        bed.start(rush([0] * 8)).finish()
-        assert bed.position() == bed.places() == [240, 240, 56]  # 8 * 30, 8 * 30, 8 * 7 steps
-        assert len(bed.rests) == 1
+    with engine_bench(latency=20_000) as bench:
+        bench.start(fast_rows([0] * 8)).finish()
+        assert (
+            bench.reported_steps() == bench.counted_steps() == [240, 240, 56]
+        )  # 8 * 30, 8 * 30, 8 * 7 steps
+        assert len(bench.stop_ticks) == 1
 
 
 # Faults
 
 
-def _fail(*_: object) -> int:
+def _raise(*_: object) -> int:
     raise RuntimeError("maximum recursion depth exceeded")
 
 
 @pytest.mark.parametrize("motors", [3, 6])
-@pytest.mark.parametrize("who", ["_next_segment", "_on_power", "_on_rest"])
-@pytest.mark.parametrize("deaf", [False, True])
-def test_an_exception_in_the_interrupt_stops_everything(who: str, deaf: bool, motors: int) -> None:
-    """One of the callbacks that the interrupt calls (who) fails.
+@pytest.mark.parametrize("callback", ["_next_segment", "_on_power", "_on_rest"])
+@pytest.mark.parametrize("on_fault_fails", [False, True])
+def test_an_exception_in_the_interrupt_stops_everything(
+    callback: str, on_fault_fails: bool, motors: int
+) -> None:
+    """One of the callbacks that the interrupt calls raises.
 
-    deaf: the stack does not suffice even for on_fault, which switches the tool off.
+    on_fault_fails: so does on_fault, which switches the tool off, as without stack space.
     """
-    rows = rush([0] * 9, motors=motors)
-    for k, made in enumerate(rows):
-        made[2] = k  # power: a change in each row calls _on_power
-    with a_bed(motors=motors) as bed:
-        bed.start(rows)
-        bed.chip.run(3500)
-        assert bed.engine.fault() == ""
-        callbacks = getattr(bed.engine, who), bed.engine.on_fault
-        setattr(bed.engine, who, _fail)
-        if deaf:
-            bed.engine.on_fault = _fail
+    rows = fast_rows([0] * 9, motors=motors)
+    for k, steps_before in enumerate(rows):
+        steps_before[2] = k  # power: a change in each row calls _on_power
+    with engine_bench(motors=motors) as bench:
+        bench.start(rows)
+        bench.chip.run(3500)
+        assert bench.engine.fault() == ""
+        callbacks = getattr(bench.engine, callback), bench.engine.on_fault
+        setattr(bench.engine, callback, _raise)
+        if on_fault_fails:
+            bench.engine.on_fault = _raise
         for _ in range(600):
-            bed.chip.run(100)
-            if bed.engine.fault():
+            bench.chip.run(100)
+            if bench.engine.fault():
                 break
-        assert "interrupt has failed" in bed.engine.fault()
-        assert len(bed.faults) == (not deaf)
-        setattr(bed.engine, who, callbacks[0])
-        bed.engine.on_fault = callbacks[1]
-        bed.engine.stop()
-        check_stopped(bed, bed.rises())
+        assert "interrupt has failed" in bench.engine.fault()
+        assert len(bench.faults) == (not on_fault_fails)
+        setattr(bench.engine, callback, callbacks[0])
+        bench.engine.on_fault = callbacks[1]
+        bench.engine.stop()
+        check_stopped(bench, bench.total_steps())
 
 
 @pytest.mark.parametrize("motors", [3, 6])
@@ -329,22 +346,22 @@ def test_machines_stop_even_if_the_stop_fails(
 ) -> None:
     """As if the stack sufficed for no call: the next segment, halt() and on_fault() fail. The
     machines are off at once, their position is found by stop() later."""
-    with a_bed(motors=motors) as bed:
-        bed.start(rush([0] * 9, motors=motors))
-        bed.chip.run(1200)
-        module = sys.modules[type(bed.engine).__module__]
+    with engine_bench(motors=motors) as bench:
+        bench.start(fast_rows([0] * 9, motors=motors))
+        bench.chip.run(1200)
+        module = sys.modules[type(bench.engine).__module__]
         with monkeypatch.context() as here:
-            here.setattr(module, "halt", _fail)
-            bed.engine.on_fault = _fail
-            here.setattr(bed.engine, "_next_segment", _fail)
-            bed.chip.run(9000)
-        made = bed.rises()
-        assert not bed.engine.idle()
-        bed.chip.run(3000)
-        assert bed.rises() == made
-        assert "interrupt has failed" in bed.engine.fault()
-        bed.engine.stop()
-        check_stopped(bed, made)
+            here.setattr(module, "halt", _raise)
+            bench.engine.on_fault = _raise
+            here.setattr(bench.engine, "_next_segment", _raise)
+            bench.chip.run(9000)
+        steps_before = bench.total_steps()
+        assert not bench.engine.idle()
+        bench.chip.run(3000)
+        assert bench.total_steps() == steps_before
+        assert "interrupt has failed" in bench.engine.fault()
+        bench.engine.stop()
+        check_stopped(bench, steps_before)
 
 
 @pytest.mark.parametrize(("motors", "lane"), [(3, 0), (6, 4)])
@@ -354,23 +371,23 @@ def test_an_extra_word_is_noticed_before_anything_moves(motors: int, lane: int) 
 
     lane: the motor, the first one of its PIO.
     """
-    with a_bed(motors=motors) as bed:
+    with engine_bench(motors=motors) as bench:
         for register, value in ((_TXF, 122), (_INSTR, _PULL)):
-            bed.chip.write(register + _BLOCK * (lane // 4), value)
-        bed.chip.run(10)
-        assert bed.chip.channels[lane].read(0x800) == 5  # register of the free places
-        bed.start(rush([0, 63, 0, 63], motors=motors))
-        bed.chip.run(9000)
-        assert bed.chip.lost() == 1 << lane
-        assert "lost" in bed.engine.fault()
-        bed.engine.stop()
-        made = bed.rises()
-        bed.engine.start()
-        bed.chip.run(3000)
-        assert bed.rises() == made
-        bed.engine.arm()
-        assert bed.engine.fault() == ""
-        bed.faults.append(0)  # a_bed() accepts a lost word only with a fault
+            bench.chip.write(register + _BLOCK * (lane // 4), value)
+        bench.chip.run(10)
+        assert bench.chip.channels[lane].read(0x800) == 5  # register of the free places
+        bench.start(fast_rows([0, 63, 0, 63], motors=motors))
+        bench.chip.run(9000)
+        assert bench.chip.lost() == 1 << lane
+        assert "lost" in bench.engine.fault()
+        bench.engine.stop()
+        steps_before = bench.total_steps()
+        bench.engine.start()
+        bench.chip.run(3000)
+        assert bench.total_steps() == steps_before
+        bench.engine.arm()
+        assert bench.engine.fault() == ""
+        bench.faults.append(0)  # a_bed() accepts a lost word only with a fault
 
 
 @pytest.mark.parametrize(("motors", "lane"), [(3, 0), (6, 4)])
@@ -379,45 +396,45 @@ def test_a_lost_word_stops_the_engine_before_its_next_start(motors: int, lane: i
 
     lane: the motor, the first one of its PIO.
     """
-    with a_bed(motors=motors) as bed:
+    with engine_bench(motors=motors) as bench:
         for _ in range(5):
-            bed.chip.write(_TXF + _BLOCK * (lane // 4), 0)
-        assert bed.chip.lost() == 1 << lane
-        assert "lost" in bed.engine.fault()
-        bed.start(rush([0], motors=motors))
-        bed.chip.run(3000)
-        assert bed.faults and not bed.rises()
-        assert "lost" in bed.engine.fault()
-        bed.engine.stop()
-        bed.engine.arm()
-        assert bed.engine.fault() == ""
+            bench.chip.write(_TXF + _BLOCK * (lane // 4), 0)
+        assert bench.chip.lost() == 1 << lane
+        assert "lost" in bench.engine.fault()
+        bench.start(fast_rows([0], motors=motors))
+        bench.chip.run(3000)
+        assert bench.faults and not bench.total_steps()
+        assert "lost" in bench.engine.fault()
+        bench.engine.stop()
+        bench.engine.arm()
+        assert bench.engine.fault() == ""
 
 
 @pytest.mark.parametrize(("motors", "lane"), [(3, 2), (6, 5)])
 def test_a_stuck_dma_channel_is_a_fault(motors: int, lane: int) -> None:
     """With words left to send, it does not advance; no interrupt waits for it forever."""
-    with a_bed(motors=motors) as bed:
-        bed.start(rush([0, 63, 5], motors=motors))
-        bed.chip.run(2000)
-        channel = bed.chip.channels[lane]
+    with engine_bench(motors=motors) as bench:
+        bench.start(fast_rows([0, 63, 5], motors=motors))
+        bench.chip.run(2000)
+        channel = bench.chip.channels[lane]
         channel.advance = lambda: None  # type: ignore[method-assign]
         channel._left = 3  # words
-        bed.engine.stop()
-        bed.again(rush([0], motors=motors))
-        bed.chip.run(4000)
-        assert bed.faults and "DMA" in bed.engine.fault()
+        bench.engine.stop()
+        bench.restart(fast_rows([0], motors=motors))
+        bench.chip.run(4000)
+        assert bench.faults and "DMA" in bench.engine.fault()
 
 
 def test_a_missing_interrupt_is_a_fault_until_the_engine_is_armed() -> None:
     """MicroPython disables a handler for good once it has raised. Here a handler that does nothing
     takes its place."""
-    with a_bed() as bed:
+    with engine_bench() as bench:
         rp2.PIO.handlers[1] = (lambda _: 0, 0, True)
-        bed.start(rush([0]))
-        bed.chip.run(100)
-        assert "did not occur" in bed.engine.fault()
-        bed.engine.stop()
-        check_stopped(bed, 0)
+        bench.start(fast_rows([0]))
+        bench.chip.run(100)
+        assert "did not occur" in bench.engine.fault()
+        bench.engine.stop()
+        check_stopped(bench, 0)
 
 
 @pytest.mark.parametrize("base_us", [0, (1 << 30) - 30_000, (1 << 30) - 1_000])
@@ -427,23 +444,23 @@ def test_motion_late_on_its_schedule_is_a_fault(base_us: int) -> None:
 
     base_us: the clock at the start, also shortly before it wraps.
     """
-    with a_bed() as bed:
-        clock = bed.chip.mcu.clock
+    with engine_bench() as bench:
+        clock = bench.chip.mcu.clock
         clock.tick(base_us * 1000)  # ns
-        bed.start(rush([0])).finish()
+        bench.start(fast_rows([0])).finish()
         for _ in range(4):  # 20 minutes
-            assert bed.engine.fault() == ""
+            assert bench.engine.fault() == ""
             clock.tick(300_000_000_000)
-        bed.start(rush([0] * 4))
-        bed.chip.run(1000)
+        bench.start(fast_rows([0] * 4))
+        bench.chip.run(1000)
         rp2.PIO.handlers[1] = (lambda _: 0, 0, True)  # the interrupt does nothing from now on
         for us in (20_000, 20_000):
             clock.tick(us * 1000)
-            assert bed.engine.fault() == ""
+            assert bench.engine.fault() == ""
         clock.tick(30_000_000)  # 70 ms in all
-        assert "later than scheduled" in bed.engine.fault()
-        bed.engine.stop()
-        check_stopped(bed, bed.rises())
+        assert "later than scheduled" in bench.engine.fault()
+        bench.engine.stop()
+        check_stopped(bench, bench.total_steps())
 
 
 def test_fault_messages_contain_no_answer_words() -> None:
@@ -455,55 +472,55 @@ def test_fault_messages_contain_no_answer_words() -> None:
 def test_the_pulse_length_is_loaded_without_the_fifo() -> None:
     """A word put there for it would make DMA lose one of the first words."""
     for us in (3, 10, 255):
-        with a_bed((us, 2, 5)) as bed:
+        with engine_bench((us, 2, 5)) as bench:
             gap = ticks(us) + 12  # the highest rate
             # 3 steps of each axis, from tick 0 to 2 * gap.
-            bed.start([array("i", [4 * gap, 0, 0, *(3, 0, 2 * gap) * AXES])]).finish()
-            assert all(seen.pulses == {ticks(us)} for seen in bed.drivers())
-            assert bed.chip.lost() == 0
+            bench.start([array("i", [4 * gap, 0, 0, *(3, 0, 2 * gap) * AXES])]).finish()
+            assert all(seen.pulses == {ticks(us)} for seen in bench.drivers())
+            assert bench.chip.lost() == 0
 
 
 @pytest.mark.parametrize(("motors", "pio"), [(3, _PIO1), (6, _PIO1), (7, _PIO2), (8, _PIO2)])
 def test_other_users_of_a_pio_are_left_alone(motors: int, pio: int) -> None:
     """A radio's machine, the third of its PIO, keeps running through stops, faults and starts; its
     words and its FIFO overflow flag stay."""
-    with a_bed(motors=motors) as bed:
+    with engine_bench(motors=motors) as bench:
         loop = 31  # last address of the PIO: an instruction that jumps to itself
-        bed.chip.write(pio + _INSTR_MEM + 4 * loop, loop)
-        bed.chip.write(pio + _SM2_INSTR, loop)
+        bench.chip.write(pio + _INSTR_MEM + 4 * loop, loop)
+        bench.chip.write(pio + _SM2_INSTR, loop)
         for _ in range(5):  # one more than its FIFO holds
-            bed.chip.write(pio + _SM2_TXF, 7)
-        bed.chip.write(pio + _TO_SET, 1 << 2)  # CTRL: enable machine 2
+            bench.chip.write(pio + _SM2_TXF, 7)
+        bench.chip.write(pio + _TO_SET, 1 << 2)  # CTRL: enable machine 2
 
         def left_alone() -> bool:
             """Return whether machine 2 runs its loop, with four words and the overflow flag."""
-            runs = bed.chip.read(pio) >> 2 & 1
-            full = bed.chip.read(pio + _FLEVEL) >> 16 & 15
-            over = bed.chip.read(pio + _FDEBUG) >> 18 & 1
-            return (runs, full, over, bed.chip.read(pio + _SM2_ADDR)) == (1, 4, 1, loop)
+            runs = bench.chip.read(pio) >> 2 & 1
+            full = bench.chip.read(pio + _FLEVEL) >> 16 & 15
+            over = bench.chip.read(pio + _FDEBUG) >> 18 & 1
+            return (runs, full, over, bench.chip.read(pio + _SM2_ADDR)) == (1, 4, 1, loop)
 
         assert left_alone()
-        bed.start(rush([0, 255, 5], motors=motors)).finish()
-        assert left_alone() and bed.engine.fault() == ""
+        bench.start(fast_rows([0, 255, 5], motors=motors)).finish()
+        assert left_alone() and bench.engine.fault() == ""
         for k in range(5):
-            bed.again(rush([0, 255], motors=motors)).chip.run(900 * k)
-            bed.engine.lock(0b10)
-            bed.engine.stop()
+            bench.restart(fast_rows([0, 255], motors=motors)).chip.run(900 * k)
+            bench.engine.lock(0b10)
+            bench.engine.stop()
             assert left_alone()
-        bed.again(rush([0] * 9, motors=motors)).chip.run(300)
-        bed.engine._next_segment = _fail
-        bed.chip.run(20_000)
-        assert "interrupt has failed" in bed.engine.fault()
+        bench.restart(fast_rows([0] * 9, motors=motors)).chip.run(300)
+        bench.engine._next_segment = _raise
+        bench.chip.run(20_000)
+        assert "interrupt has failed" in bench.engine.fault()
         assert left_alone()
 
 
 def test_more_motors_than_machines_are_refused() -> None:
     """An RP2350 has machines for 8 motors, an RP2040 for 6."""
-    with pytest.raises(ValueError, match="8 motors at most"), a_bed(motors=9):
+    with pytest.raises(ValueError, match="8 motors at most"), engine_bench(motors=9):
         pass
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pio_model, "MOST_OF_RP2040", 7)  # the model is an RP2040 for 7 motors, too
-        with pytest.raises(ValueError, match="6 motors at most"), a_bed(motors=7):
+        with pytest.raises(ValueError, match="6 motors at most"), engine_bench(motors=7):
             pass
 
 
@@ -531,7 +548,7 @@ _WORD = st.builds(word, st.integers(0, 1), st.integers(0, 5), st.integers(0, 90)
 @some(20)
 def test_another_emulator_agrees_on_random_words(words: "list[int]", pulse: int) -> None:
     """Every edge of STEP, up and down, in the exact tick that programs.py states."""
-    steps, ready = reckon(words, pulse)
+    steps, ready = compute_steps(words, pulse)
     isr = pioemu.ShiftRegister(pulse - 3, 32)  # the program takes 3 ticks of each pulse itself
     state = pioemu.State(transmit_fifo=deque(words), input_shift_register=isr)
     edges: list[tuple[int, int]] = []

@@ -36,9 +36,9 @@ MOTORS = engines()["pio"].pins
 
 def board(**changes: Any) -> ModuleType:
     """Return a board file with BOARD's pins and these changes."""
-    made = ModuleType("board")
-    vars(made).update({**BOARD, **changes})
-    return made
+    make_port = ModuleType("board")
+    vars(make_port).update({**BOARD, **changes})
+    return make_port
 
 
 @pytest.fixture(autouse=True)
@@ -53,7 +53,7 @@ def new_chip(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     Pin.pins.clear()
 
 
-class Heard:
+class CallCounts:
     """Count the calls of each callback."""
 
     def __init__(self) -> None:
@@ -72,16 +72,16 @@ class Heard:
         self.faults += 1
 
 
-def made(**changes: Any) -> "tuple[GpioPort, Heard]":
+def make_port(**changes: Any) -> "tuple[GpioPort, CallCounts]":
     """Return the port of a changed board, limits enabled, and the counter of its callbacks."""
-    port, heard = GpioPort(board(**changes)), Heard()
-    port.attach(heard)
+    port, counts = GpioPort(board(**changes)), CallCounts()
+    port.attach(counts)
     port.enable_limits(True)
-    return port, heard
+    return port, counts
 
 
 def test_inputs_are_closed_when_pulled_to_ground() -> None:
-    port, _ = made()
+    port, _ = make_port()
     assert (port.limits(), port.controls(), port.probe()) == (0, 0, False)
     for pin in (10, 13, 12):  # limit of Y, first control input, probe
         Pin(pin).drive(0)
@@ -90,67 +90,67 @@ def test_inputs_are_closed_when_pulled_to_ground() -> None:
 
 
 def test_unwired_inputs_are_never_closed() -> None:
-    port, _ = made(LIMIT=(), PROBE=None, CONTROL=(None,) * 4)
+    port, _ = make_port(LIMIT=(), PROBE=None, CONTROL=(None,) * 4)
     assert (port.limits(), port.controls(), port.probe()) == (0, 0, False)
 
 
 def test_a_switch_is_reported_at_once_in_a_hard_interrupt() -> None:
     """Of the pins: all inputs have a hard interrupt."""
-    _, heard = made()
+    _, counts = make_port()
     Pin(9).drive(0)  # limit of X
     Pin(14).drive(0)  # a control input
-    assert (heard.limits, heard.controls) == (1, 1)
+    assert (counts.limits, counts.controls) == (1, 1)
     assert all(Pin(pin).hard for pin in (9, 10, 11, 12, 13, 14, 15))
 
 
 def test_a_shared_input_reports_each_axis_and_interrupts_once() -> None:
     """X and Y use pin 9 for both limits, which the check of pins allows."""
-    port, heard = made(LIMIT=(9, 9, 11))
+    port, counts = make_port(LIMIT=(9, 9, 11))
     pin_check.check(board(LIMIT=(9, 9, 11)), MOTORS)
     Pin(9).drive(0)
-    assert (port.limits(), heard.limits, Pin(9).calls) == (3, 1, 1)
+    assert (port.limits(), counts.limits, Pin(9).calls) == (3, 1, 1)
     Pin(9).drive(1)
     port._look_timer.expire()  # after an interrupt, the timer looks at the pin again
-    assert (port.limits(), heard.limits) == (0, 2)
+    assert (port.limits(), counts.limits) == (0, 2)
 
 
 def test_limits_interrupt_only_while_enabled() -> None:
-    port, heard = made()
+    port, counts = make_port()
     port.enable_limits(False)
     Pin(9).drive(0)  # limit of X closes
-    assert (Pin(9).calls, heard.limits) == (0, 0)
+    assert (Pin(9).calls, counts.limits) == (0, 0)
     port.enable_limits(True)
     Pin(10).drive(0)  # limit of Y closes
-    assert heard.limits == 1
+    assert counts.limits == 1
 
 
 def test_interference_interrupts_rarely_and_blocks_no_other_input() -> None:
     """A pin that has interrupted does not do so again until a timer has looked at it."""
-    port, heard = made()
+    port, counts = make_port()
     for _ in range(1000):  # interference at the limit of X
         Pin(9).drive(0)
         Pin(9).drive(1)
-    assert (Pin(9).calls, heard.limits) == (1, 1)
+    assert (Pin(9).calls, counts.limits) == (1, 1)
     Pin(10).drive(0)  # limit of Y
-    assert heard.limits == 2
+    assert counts.limits == 2
     port._look_timer.expire()  # same level as at the last reported edge
-    assert heard.limits == 2
+    assert counts.limits == 2
     Pin(9).drive(0)
-    assert heard.limits == 3
+    assert counts.limits == 3
     Pin(9).drive(1)
     port._look_timer.expire()  # an edge without interrupt, found by the timer
-    assert heard.limits == 4
+    assert counts.limits == 4
 
 
 def test_nothing_is_reported_after_limits_are_disabled() -> None:
     """Neither by the timer that looks at a pin after its interrupt, nor by another pin."""
-    port, heard = made()
+    port, counts = make_port()
     Pin(9).drive(0)  # limit of X closes: reported
     port.enable_limits(False)
     Pin(9).drive(1)
     port._look_timer.expire()
     Pin(10).drive(0)  # limit of Y closes
-    assert (heard.limits, Pin(10).calls) == (1, 0)
+    assert (counts.limits, Pin(10).calls) == (1, 0)
 
 
 @pytest.mark.parametrize("invert", [0, 7])
@@ -159,7 +159,7 @@ def test_a_debounced_limit_counts_if_it_is_closed_at_the_end(invert: int) -> Non
 
     invert: $5, a mask of the three axes.
     """
-    port, heard = made(LIMIT_DEBOUNCE_MS=3)
+    port, counts = make_port(LIMIT_DEBOUNCE_MS=3)
     port.limit_invert = invert
     open_level, closed_level = (0, 1) if invert else (1, 0)
     for pin in (9, 10, 11):
@@ -167,41 +167,41 @@ def test_a_debounced_limit_counts_if_it_is_closed_at_the_end(invert: int) -> Non
     port._look_timer.expire()
     Pin(9).drive(closed_level)
     Pin(9).drive(open_level)
-    assert (port._look_timer.period, heard.limits) == (3, 0)
+    assert (port._look_timer.period, counts.limits) == (3, 0)
     port._look_timer.expire()
-    assert heard.limits == 0
+    assert counts.limits == 0
     Pin(9).drive(closed_level)
     port._look_timer.expire()
-    assert heard.limits == 1
+    assert counts.limits == 1
 
 
 def test_pins_interrupt_before_all_others() -> None:
     machine.mem32[0xE000E40C] = 0x80808080  # IO_IRQ_BANK0 is number 13
-    made()
+    make_port()
     assert machine.mem32[0xE000E40C] == 0x80804080
 
 
 def test_a_button_is_reported_at_once_and_a_storm_is_not() -> None:
     """A storm: many edges, of which only the first and the last are reported; another button is
     reported at once meanwhile. Pins 13 and 14: the buttons."""
-    port, heard = made()
+    port, counts = make_port()
     for _ in range(1000):
         Pin(13).drive(0)
         Pin(13).drive(1)
     Pin(14).drive(0)
-    assert (Pin(13).calls, heard.controls) == (1, 2)  # one report of each button
+    assert (Pin(13).calls, counts.controls) == (1, 2)  # one report of each button
     Pin(13).drive(0)
     port._control_timer.expire()
-    assert heard.controls == 3  # the last edge is not lost
+    assert counts.controls == 3  # the last edge is not lost
     port._control_timer.expire()  # nothing has changed: the timer ends
-    assert (heard.controls, port._control_timer.callback) == (3, None)
+    assert (counts.controls, port._control_timer.callback) == (3, None)
     Pin(13).drive(1)
-    assert heard.controls == 4
+    assert counts.controls == 4
 
 
 def test_an_input_is_active_when_open_if_the_board_says_so() -> None:
     """CONTROL_INVERT: a mask of the inputs at pins 13, 14 and 15."""
-    port, _ = made(CONTROL_INVERT=0b011)
+    port, _ = make_port(CONTROL_INVERT=0b011)
     assert port.controls() == 0b011
     for pin in (13, 14, 15):
         Pin(pin).drive(0)
@@ -210,74 +210,74 @@ def test_an_input_is_active_when_open_if_the_board_says_so() -> None:
 
 def test_an_open_emergency_stop_is_reported_also_during_debounce() -> None:
     """The emergency stop at pin 22 opens its contact when pressed: estop() is true."""
-    port, heard = made(ESTOP=22, CONTROL_DEBOUNCE_MS=20)
+    port, counts = make_port(ESTOP=22, CONTROL_DEBOUNCE_MS=20)
     assert port.estop is not None and port.estop()
     Pin(22).drive(0)
     assert not port.estop()
     port._control_timer.expire()
-    before = heard.controls
+    before = counts.controls
     Pin(13).drive(0)  # a button
     Pin(22).drive(1)  # while a button bounces
-    assert heard.controls == before + 2  # button, emergency stop
+    assert counts.controls == before + 2  # button, emergency stop
     port._control_timer.expire()
-    assert heard.controls == before + 3  # it is still pressed
+    assert counts.controls == before + 3  # it is still pressed
     assert port._control_timer.callback is None
 
 
 def test_a_board_without_emergency_stop_has_none() -> None:
-    port, _ = made()
+    port, _ = make_port()
     assert port.estop is None
 
 
 def test_a_bouncing_button_is_reported_once_and_again_after_a_change() -> None:
     """Pins 13 and 14: two buttons; each report is followed by CONTROL_DEBOUNCE_MS without one, and
     another one at the end if something has changed."""
-    port, heard = made(CONTROL_DEBOUNCE_MS=20)
+    port, counts = make_port(CONTROL_DEBOUNCE_MS=20)
     for level in (0, 1, 0, 1, 0):
         Pin(13).drive(level)
-    assert heard.controls == 1
+    assert counts.controls == 1
     port._control_timer.expire()  # the time of debouncing is over
-    assert heard.controls == 1
+    assert counts.controls == 1
     Pin(13).drive(1)
     Pin(14).drive(0)  # while the contacts of the other still bounce
-    assert heard.controls == 2
+    assert counts.controls == 2
     port._control_timer.expire()
-    assert heard.controls == 3
+    assert counts.controls == 3
     port._control_timer.expire()
-    assert heard.controls == 3
+    assert counts.controls == 3
 
 
 @pytest.mark.parametrize("closed", [True, False])
 def test_the_probe_is_reported_once(closed: bool) -> None:
     """closed: wait until it closes (level 0), otherwise until it opens."""
-    port, heard = made()
+    port, counts = make_port()
     Pin(12).drive(1 if closed else 0)  # the probe's pin
-    port.watch_probe(heard.on_contact, closed)
-    assert heard.probe == 0
+    port.watch_probe(counts.on_contact, closed)
+    assert counts.probe == 0
     for level in (0, 1, 0, 1):
         Pin(12).drive(level)
-    assert heard.probe == 1
+    assert counts.probe == 1
 
 
 def test_a_probe_interrupts_only_while_it_is_watched() -> None:
-    port, heard = made()
+    port, counts = make_port()
     Pin(12).drive(0)  # the probe is closed
-    port.watch_probe(heard.on_contact, False)  # until it opens
+    port.watch_probe(counts.on_contact, False)  # until it opens
     port.watch_probe(None, False)  # not any more
     Pin(12).drive(1)
-    assert (Pin(12).calls, heard.probe) == (0, 0)
+    assert (Pin(12).calls, counts.probe) == (0, 0)
 
 
 def test_an_already_touching_probe_is_reported_at_once() -> None:
-    port, heard = made()
+    port, counts = make_port()
     Pin(12).drive(0)
-    port.watch_probe(heard.on_contact, True)
-    assert heard.probe == 1
+    port.watch_probe(counts.on_contact, True)
+    assert counts.probe == 1
 
 
 def test_spindle_power_sets_the_duty_cycle() -> None:
     """In proportion, 65535 at PWM_MAX; SPINDLE_ON (pin 19) is on at any power but 0."""
-    port, _ = made(PWM_MAX=1000)
+    port, _ = make_port(PWM_MAX=1000)
     for power, duty in ((0, 0), (1, 65), (500, 32767), (1000, 65535)):
         port.spindle(power > 0, power)
         assert (PWM.outputs[16].duty, Pin(19).value()) == (duty, int(power > 0))
@@ -285,7 +285,7 @@ def test_spindle_power_sets_the_duty_cycle() -> None:
 
 def test_safe_switches_off_all_dangerous_outputs() -> None:
     """Spindle on (pin 19) and its PWM (16), flood (18) and mist (20)."""
-    port, _ = made(MIST_PIN=20)
+    port, _ = make_port(MIST_PIN=20)
     port.spindle(True, 1000)
     port.coolant(3)  # flood and mist
     port.safe()
@@ -294,7 +294,7 @@ def test_safe_switches_off_all_dangerous_outputs() -> None:
 
 
 def test_motors_are_off_until_the_machine_enables_them() -> None:
-    port, _ = made(ENABLE=(8, 21, 22))
+    port, _ = make_port(ENABLE=(8, 21, 22))
     assert [Pin(pin).value() for pin in (8, 21, 22)] == [1, 1, 1]
     port.enable(0)
     assert [Pin(pin).value() for pin in (8, 21, 22)] == [0, 0, 0]
@@ -302,24 +302,24 @@ def test_motors_are_off_until_the_machine_enables_them() -> None:
 
 def test_an_extra_can_add_pins() -> None:
     """Outputs 20 and 21 and inputs 22 and 26, which drive() and sense() address by masks."""
-    port, heard = made()
+    port, counts = make_port()
     port.add_pins((20, 21), (22, 26))
-    port.watch_pins(heard.on_contact)  # counts in heard.probe
+    port.watch_pins(counts.on_contact)  # counts in counts.probe
     port.drive(1)
     assert (Pin(20).value(), Pin(21).value(), port.sense()) == (1, 0, 3)
     Pin(26).drive(0)
-    assert (port.sense(), heard.probe) == (1, 1)
+    assert (port.sense(), counts.probe) == (1, 1)
 
 
 def test_the_watchdog_is_stopped_for_the_repl() -> None:
-    port, _ = made()
+    port, _ = make_port()
     assert port.watch(5000) is not None
     assert port.watch(0) is None
     assert machine.mem32[0x4005B000] == 1 << 30  # CTRL.ENABLE, through the alias that clears bits
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "message"),
     [
         ({"DIR": (5, 6, 2)}, "DIR: pin 2 is STEP already"),
         ({"PROBE": 30}, "PROBE: this chip has no pin 30"),
@@ -331,8 +331,8 @@ def test_the_watchdog_is_stopped_for_the_repl() -> None:
         ({"CONTROL_INVERT": 8}, "CONTROL_INVERT: 8 stands for an input"),
     ],
 )
-def test_a_wrong_pin_is_named(changes: "dict[str, Any]", said: str) -> None:
-    with pytest.raises(ValueError, match=said):
+def test_a_wrong_pin_is_named(changes: "dict[str, Any]", message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         pin_check.check(board(**changes), MOTORS)
 
 
