@@ -1,8 +1,8 @@
 """Test `ugrbl console`: lines and keys at the simulator, and the terminal itself.
 
-A `Person` is a user at the console with a simulator: desk.enter() types a line, desk.press()
-presses a jog key, desk.poll() processes what has come, `heard` are the lines shown, wait() polls
-until a condition holds. bench.wire(">") are the bytes sent to the machine so far.
+A `Person` is a user at the console with a simulator: session.enter() types a line, press() presses
+a jog key, poll() processes what has come. `shown` are the lines shown, and wait() polls until a
+condition holds. bench.wire(">") are the bytes sent to the machine so far.
 """
 
 import fcntl
@@ -41,26 +41,26 @@ class Person:
     """A user at the console, with all output so far."""
 
     def __init__(self, bench: Bench) -> None:
-        """Connect and unlock: the first "ok" in `heard` is the answer to $X."""
+        """Connect and unlock: the first "ok" in `shown` is the answer to $X."""
         self.connection = Connection(str(bench.port))
         assert self.connection.answers()
-        self.heard: list[str] = []
-        self.desk = Session(self.connection, self.heard.append)
-        self.desk.enter("$X")
-        self.wait(lambda: "ok" in self.heard)
+        self.shown: list[str] = []
+        self.session = Session(self.connection, self.shown.append)
+        self.session.enter("$X")
+        self.wait(lambda: "ok" in self.shown)
 
     def wait(self, done: Callable[[], bool]) -> None:
-        until = time.monotonic() + _PATIENCE_S
+        end_s = time.monotonic() + _PATIENCE_S
         while not done():
-            assert time.monotonic() < until, self.heard
-            self.desk.poll()
+            assert time.monotonic() < end_s, self.shown
+            self.session.poll()
 
     def hold_key(self, key: str, seconds: float) -> None:
         """Press a key as often as a keyboard repeats it."""
-        until = time.monotonic() + seconds
-        while time.monotonic() < until:
-            self.desk.press(key)
-            self.desk.poll()
+        end_s = time.monotonic() + seconds
+        while time.monotonic() < end_s:
+            self.session.press(key)
+            self.session.poll()
             time.sleep(0.03)
 
     def wait_idle(self) -> list[float]:
@@ -82,19 +82,19 @@ def person(bench: Bench) -> Iterator[Person]:
 @pytest.mark.sampled(1)
 def test_settings_and_errors_are_shown_with_their_meaning(person: Person) -> None:
     """The console adds the meaning to settings and errors."""
-    person.desk.enter("$$")
-    person.wait(lambda: any(line.startswith("$132=") for line in person.heard))
-    (x_rate_line,) = [line for line in person.heard if line.startswith("$110=")]
+    person.session.enter("$$")
+    person.wait(lambda: any(line.startswith("$132=") for line in person.shown))
+    (x_rate_line,) = [line for line in person.shown if line.startswith("$110=")]
     assert "Maximum rate X, mm/min" in x_rate_line
-    person.desk.enter("G64")
-    person.wait(lambda: any(line.startswith("error:20: ") for line in person.heard))
+    person.session.enter("G64")
+    person.wait(lambda: any(line.startswith("error:20: ") for line in person.shown))
 
 
 def test_many_lines_at_once_do_not_overfill_the_buffer(bench: Bench, person: Person) -> None:
     for _ in range(60):
-        person.desk.enter("G4 P0.001 (some words that make it longer)")
-    person.wait(lambda: person.heard.count("ok") == 61)
-    assert not any(line.startswith("error") for line in person.heard)
+        person.session.enter("G4 P0.001 (some words that make it longer)")
+    person.wait(lambda: person.shown.count("ok") == 61)
+    assert not any(line.startswith("error") for line in person.shown)
 
 
 def test_realtime_bytes_are_not_sent_within_lines(bench: Bench, person: Person) -> None:
@@ -102,10 +102,10 @@ def test_realtime_bytes_are_not_sent_within_lines(bench: Bench, person: Person) 
 
     The line is not sent, or without Ö where it stands in a comment.
     """
-    person.desk.enter("G0 X1 Ö")
-    assert "not sent" in person.heard[-1]
-    person.desk.enter("G4 P0 (Ö)")
-    person.wait(lambda: person.heard.count("ok") == 2)  # of $X at the start, and of G4
+    person.session.enter("G0 X1 Ö")
+    assert "not sent" in person.shown[-1]
+    person.session.enter("G4 P0 (Ö)")
+    person.wait(lambda: person.shown.count("ok") == 2)  # of $X at the start, and of G4
     assert bench.wire(">").isascii()
 
 
@@ -113,11 +113,11 @@ def test_key_press_jogs_one_step_and_keeps_the_modes(person: Person) -> None:
     """Arrows jog X and Y, Page Up Z. The modes of the program, here G90, stay as they were."""
     # ] makes the step ten times as large: 10 mm for Z.
     for key in ("right", "up", "]", "pageup"):
-        person.desk.press(key)
+        person.session.press(key)
         person.wait_idle()
     assert person.wait_idle() == [1.0, 1.0, 10.0]
-    person.desk.enter("$G")
-    person.wait(lambda: any("G90" in line for line in person.heard))
+    person.session.enter("$G")
+    person.wait(lambda: any("G90" in line for line in person.shown))
 
 
 def test_held_key_jogs_until_it_is_released(bench: Bench, person: Person) -> None:
@@ -128,61 +128,61 @@ def test_held_key_jogs_until_it_is_released(bench: Bench, person: Person) -> Non
     x_mm = person.wait_idle()[0]
     assert 3 < x_mm < 12  # a step, and then 500 mm/min while the key was down
     assert person.wait_idle()[0] == x_mm
-    assert person.heard.count("ok") == 1  # to $X: parts of a jog are not shown
+    assert person.shown.count("ok") == 1  # to $X: parts of a jog are not shown
 
 
 def test_leaving_the_console_ends_a_jog(bench: Bench, person: Person) -> None:
     person.hold_key("left", 0.5)
-    person.desk.leave()
+    person.session.leave()
     person.connection.wait_for(lambda line: line.startswith("<Idle"), 5)
     assert bench.wire(">").rstrip(b"?").endswith(JOG_CANCEL)
 
 
 def test_keys_set_zero_hold_resume_and_change_the_feed(bench: Bench, person: Person) -> None:
     """Each key acts at once, and the console shows what the machine reports."""
-    person.desk.press("right")
+    person.session.press("right")
     person.wait_idle()
-    person.desk.press("x")  # sets X to zero here, at 1 mm
+    person.session.press("x")  # sets X to zero here, at 1 mm
     # Of $X at the start, and of the line that "x" sends.
-    person.wait(lambda: person.heard.count("ok") == 2)
+    person.wait(lambda: person.shown.count("ok") == 2)
     person.wait(lambda: "|WCO:1.000" in person.connection.status)
-    assert "X0.000 Y0.000" in person.desk.status()
-    person.desk.enter("G1 X3 F200")
+    assert "X0.000 Y0.000" in person.session.status()
+    person.session.enter("G1 X3 F200")
     person.wait(lambda: person.connection.state() == "Run")
-    person.desk.press("+")  # feed +10 %
-    person.wait(lambda: "overrides 110,100,100" in person.desk.status())
-    person.desk.press(" ")  # feed hold
+    person.session.press("+")  # feed +10 %
+    person.wait(lambda: "overrides 110,100,100" in person.session.status())
+    person.session.press(" ")  # feed hold
     person.wait(lambda: person.connection.state() == "Hold:0")
-    assert "Hold:0: resume (~) or reset (Ctrl-X) it" in person.heard
-    person.desk.press("~")
+    assert "Hold:0: resume (~) or reset (Ctrl-X) it" in person.shown
+    person.session.press("~")
     assert person.wait_idle()[0] == 4.0  # machine position: 1 mm by the jog, 3 mm by G1
 
 
 def test_reset_discards_waiting_lines(person: Person) -> None:
     """The first line waits 5 s, so the 40 moves after it are not executed before the reset."""
-    person.desk.enter("G4 P5")
+    person.session.enter("G4 P5")
     for _ in range(40):
-        person.desk.enter("G0 X1")
-    person.desk.poll()
-    person.desk.reset()
-    person.wait(lambda: any(line.startswith("Grbl 1.1h") for line in person.heard))
+        person.session.enter("G0 X1")
+    person.session.poll()
+    person.session.reset()
+    person.wait(lambda: any(line.startswith("Grbl 1.1h") for line in person.shown))
     assert person.wait_idle()[0] == 0.0
 
 
 def test_console_can_reset_after_a_limit_switch(bench: Bench, person: Person) -> None:
     """After ALARM:1 the machine obeys only a reset, so $X has no effect before it."""
-    person.desk.enter("$21=1")  # hard limits on
-    person.desk.enter("G1 X30 F2000")  # the bench's switch is at 20 mm
-    person.wait(lambda: any(line.startswith("ALARM:1: ") for line in person.heard))
-    person.desk.enter("$X")
+    person.session.enter("$21=1")  # hard limits on
+    person.session.enter("G1 X30 F2000")  # the bench's switch is at 20 mm
+    person.wait(lambda: any(line.startswith("ALARM:1: ") for line in person.shown))
+    person.session.enter("$X")
     time.sleep(1.0)
-    person.desk.poll()
-    assert "[MSG:Caution: Unlocked]" not in person.heard
-    person.desk.reset()
-    person.wait(lambda: any(line.startswith("Grbl 1.1h") for line in person.heard))
-    person.desk.enter("$21=0")
-    person.desk.enter("$X")
-    person.wait(lambda: "[MSG:Caution: Unlocked]" in person.heard)
+    person.session.poll()
+    assert "[MSG:Caution: Unlocked]" not in person.shown
+    person.session.reset()
+    person.wait(lambda: any(line.startswith("Grbl 1.1h") for line in person.shown))
+    person.session.enter("$21=0")
+    person.session.enter("$X")
+    person.wait(lambda: "[MSG:Caution: Unlocked]" in person.shown)
 
 
 def test_grbl_0_9_has_no_jogging_and_no_overrides(tmp_path: Path) -> None:
@@ -190,10 +190,10 @@ def test_grbl_0_9_has_no_jogging_and_no_overrides(tmp_path: Path) -> None:
     bench_09 = Bench(tmp_path, "--speed", "max", "--board", "sim_09j")
     person = Person(bench_09)
     for key in ("right", "+"):
-        person.desk.press(key)
+        person.session.press(key)
     person.wait_idle()
     person.connection.close()
-    assert person.heard[-2:] == [
+    assert person.shown[-2:] == [
         "Grbl 0.9 has no jogging: move it with G-code",
         "Grbl 0.9 has no overrides",
     ]
@@ -234,9 +234,9 @@ def test_terminal_shows_state_lines_and_jogs(bench: Bench, tmp_path: Path) -> No
     def wait_until(holds: "Callable[[], bool]") -> None:
         """Read the screen's bytes into `text` until the condition holds."""
         nonlocal text
-        until = time.monotonic() + _PATIENCE_S
+        end_s = time.monotonic() + _PATIENCE_S
         while not holds():
-            assert time.monotonic() < until, text
+            assert time.monotonic() < end_s, text
             if select.select([master], [], [], 0.1)[0]:
                 text += os.read(master, 4096)
                 if b"\x1b[6n" in text:  # the terminal is asked for the cursor's position
@@ -259,10 +259,10 @@ def test_terminal_shows_state_lines_and_jogs(bench: Bench, tmp_path: Path) -> No
     # When a position changes on the screen, only the changed digits are sent.
     wait_until(lambda: b"$J=G91 G21 X1.000 F500" in bench.wire(">"))
     os.write(master, b"\t\x04")
-    until = time.monotonic() + _PATIENCE_S
+    end_s = time.monotonic() + _PATIENCE_S
     ended_pid = 0
     # Its last output must be read, else it cannot end.
-    while not ended_pid and time.monotonic() < until:
+    while not ended_pid and time.monotonic() < end_s:
         if select.select([master], [], [], 0.1)[0]:
             try:
                 os.read(master, 4096)

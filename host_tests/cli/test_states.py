@@ -44,7 +44,7 @@ def old(tmp_path: Path) -> Iterator[Bench]:
     running.kill()
 
 
-def put(bench: Bench, state: str, command: bytes) -> None:
+def bring_into_state(bench: Bench, state: str, command: bytes) -> None:
     """Send the command and wait up to 10 s until the machine reports the state."""
     connection = Connection(str(bench.port))
     assert connection.answers()
@@ -62,7 +62,7 @@ def test_each_command_names_state_and_remedy(
     bench: Bench, tmp_path: Path, state: str, command: bytes, todo: str
 ) -> None:
     """send, settings and doctor state why the machine cannot answer, and what to do."""
-    put(bench, state, command)
+    bring_into_state(bench, state, command)
     file = tmp_path / "job.nc"
     file.write_text("G0 X1\n")
     sent = ugrbl("send", file, "--port", bench.port)

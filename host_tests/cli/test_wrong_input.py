@@ -151,10 +151,10 @@ def test_file_that_is_not_text_is_reported_without_pythons_words(
     """A file in Latin-1, in UTF-16, or with a picture is refused with the remedy."""
     (folder / "x.py").write_bytes(data)
     done = ugrbl(*words.split())
-    said = " ".join(done.output.split())
+    output = " ".join(done.output.split())
     assert done.exit_code == 1
-    assert "x.py cannot be read: it is no text in UTF-8; save it as UTF-8" in said
-    assert not re.search("codec|null|byte 0x|Errno", said)
+    assert "x.py cannot be read: it is no text in UTF-8; save it as UTF-8" in output
+    assert not re.search("codec|null|byte 0x|Errno", output)
 
 
 @pytest.mark.parametrize("data", [b"hello\n", b"", _JPEG])
@@ -294,7 +294,7 @@ def test_settings_file_with_a_byte_order_mark_is_read_and_updated(folder: Path) 
     assert kept.count("$110=") == 1 and "$110=1200" in kept and "$120=50 ; mine" in kept
 
 
-def writing_to(stdout: int, words: str) -> "subprocess.CompletedProcess[str]":
+def run_with_stdout(stdout: int, words: str) -> "subprocess.CompletedProcess[str]":
     """Run a command in its own process. stdout: the file descriptor for its output."""
     return subprocess.run(
         [sys.executable, "-m", "ugrbl.cli", *words.split()],
@@ -313,7 +313,7 @@ def writing_to(stdout: int, words: str) -> "subprocess.CompletedProcess[str]":
 def test_full_disk_is_reported_in_words(words: str) -> None:
     """/dev/full refuses every write as a full disk does."""
     with Path("/dev/full").open("w") as full:
-        done = writing_to(full.fileno(), words)
+        done = run_with_stdout(full.fileno(), words)
     assert done.returncode == 1
     assert "the disk is full" in done.stderr
     assert "Errno" not in done.stderr and "Traceback" not in done.stderr
@@ -335,7 +335,7 @@ def test_closed_output_pipe_is_not_reported(words: str) -> None:
     """A reader that ends early, as in `| head`, is no error to report."""
     read, write = os.pipe()
     os.close(read)  # so every write fails
-    done = writing_to(write, words)
+    done = run_with_stdout(write, words)
     os.close(write)
     assert done.returncode in (0, 1)
     assert not re.search("Traceback|[Bb]roken|Exception|Errno", done.stderr), done.stderr

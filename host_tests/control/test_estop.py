@@ -16,28 +16,28 @@ class Machine(Rig):
     """A simulated machine with an emergency stop."""
 
     def __init__(self, **settings: float) -> None:
-        made = ModuleType("board")
-        vars(made).update(vars(load_board("sim")), ESTOP=28)
-        store = factory_store(made)
+        module = ModuleType("board")
+        vars(module).update(vars(load_board("sim")), ESTOP=28)
+        store = factory_store(module)
         store.files["settings"] += [f"${name[1:]}={value}" for name, value in settings.items()]
-        super().__init__(made, store)
+        super().__init__(module, store)
 
-    def said(self) -> str:
+    def received_text(self) -> str:
         return bytes(self.link.received).decode()
 
-    def ask(self, line: str, until: str = "\r\n") -> Iterator[Any]:
+    def send_and_wait(self, line: str, until: str = "\r\n") -> Iterator[Any]:
         """Send a line and wait for its answer; earlier output is discarded."""
         yield self.ms(20)  # so that pending output arrives first
         self.link.received.clear()
         self.link.send(line.encode("latin-1"))
         yield lambda: until.encode() in self.link.received
 
-    def off(self) -> bool:
+    def tools_are_off(self) -> bool:
         """Return whether spindle and coolant are off at the pins."""
         port = self.port
         return not (port.spindle_on or port.spindle_pwm or port.flood or port.mist)
 
-    def place(self) -> "list[int]":
+    def motor_steps(self) -> "list[int]":
         """Return the motors' position in steps."""
         self.engine.physical(self.scratch)
         return list(self.scratch)
@@ -69,36 +69,38 @@ def test_motion_and_tool_stop_at_once_and_nothing_unlocks() -> None:
     def script() -> Iterator[Any]:
         """Move with the spindle on; press, try to unlock in several ways, release, and move
         again."""
-        yield from machine.ask("M3 S1000 M8\n", "ok\r\n")
-        yield from machine.ask("G1 X100 F500\n", "ok\r\n")
+        yield from machine.send_and_wait("M3 S1000 M8\n", "ok\r\n")
+        yield from machine.send_and_wait("G1 X100 F500\n", "ok\r\n")
         yield machine.ms(300)
-        assert machine.moving() and not machine.off()
+        assert machine.moving() and not machine.tools_are_off()
         machine.link.received.clear()
         machine.port.push(PRESSED)
-        assert machine.off() and not machine.moving()  # at once: its interrupt stops both
-        place = machine.place()
+        # at once: its interrupt stops both
+        assert machine.tools_are_off() and not machine.moving()
+        stopped_at_steps = machine.motor_steps()
         yield lambda: b"unlock]\r\n" in machine.link.received
-        assert machine.said().startswith("ALARM:17\r\n\r\nGrbl 1.1h")
-        assert "[MSG:Emergency stop]\r\n[MSG:'$H'|'$X' to unlock]" in machine.said()
-        yield from machine.ask("$X\n", "error:9\r\n")
-        assert machine.said() == LOCKED
-        yield from machine.ask("\x18", "unlock]\r\n")
-        assert "ALARM" not in machine.said()  # reported once
-        yield from machine.ask("$X\n", "error:9\r\n")
-        assert machine.said() == LOCKED
-        yield from machine.ask("G1 X1\n")
-        assert machine.said() == "error:9\r\n"
+        assert machine.received_text().startswith("ALARM:17\r\n\r\nGrbl 1.1h")
+        assert "[MSG:Emergency stop]\r\n[MSG:'$H'|'$X' to unlock]" in machine.received_text()
+        yield from machine.send_and_wait("$X\n", "error:9\r\n")
+        assert machine.received_text() == LOCKED
+        yield from machine.send_and_wait("\x18", "unlock]\r\n")
+        assert "ALARM" not in machine.received_text()  # reported once
+        yield from machine.send_and_wait("$X\n", "error:9\r\n")
+        assert machine.received_text() == LOCKED
+        yield from machine.send_and_wait("G1 X1\n")
+        assert machine.received_text() == "error:9\r\n"
         yield machine.ms(500)
-        assert machine.off() and machine.place() == place  # the refused lines moved nothing
+        assert machine.tools_are_off()
+        assert machine.motor_steps() == stopped_at_steps  # the refused lines moved nothing
         # From here: released, the machine unlocks as after any alarm.
         machine.port.push(RELEASED)
         yield machine.ms(100)
-        yield from machine.ask("?")
-        assert machine.said().startswith("<Alarm")
-        yield from machine.ask("$X\n", "ok\r\n")
-        yield from machine.ask("M3 S1000 G1 X1 F500\n", "ok\r\n")
+        yield from machine.send_and_wait("?")
+        assert machine.received_text().startswith("<Alarm")
+        yield from machine.send_and_wait("$X\n", "ok\r\n")
+        yield from machine.send_and_wait("M3 S1000 G1 X1 F500\n", "ok\r\n")
         yield machine.ms(50)
-        assert machine.moving() and not machine.off()
+        assert machine.moving() and not machine.tools_are_off()
 
     machine.play(script)
 
@@ -115,10 +117,10 @@ def test_machine_unlocks_normally_after_estop_in_an_alarm_is_released() -> None:
         machine.port.push(PRESSED)
         yield machine.ms(50)
         machine.port.push(RELEASED)
-        yield from machine.ask("$X\n", "ok\r\n")
-        yield from machine.ask("M3 S1000 G1 X1 F500\n", "ok\r\n")
+        yield from machine.send_and_wait("$X\n", "ok\r\n")
+        yield from machine.send_and_wait("M3 S1000 G1 X1 F500\n", "ok\r\n")
         yield machine.ms(50)
-        assert machine.moving() and not machine.off()
+        assert machine.moving() and not machine.tools_are_off()
 
     machine.play(script)
 
@@ -130,9 +132,9 @@ def test_machine_that_starts_with_estop_pressed_is_locked() -> None:
 
     def script() -> Iterator[Any]:
         yield lambda: b"unlock]\r\n" in machine.link.received
-        assert "[MSG:Emergency stop]" in machine.said()
-        yield from machine.ask("$X\n", "error:9\r\n")
-        assert machine.said() == LOCKED
+        assert "[MSG:Emergency stop]" in machine.received_text()
+        yield from machine.send_and_wait("$X\n", "error:9\r\n")
+        assert machine.received_text() == LOCKED
 
     machine.play(script)
 
@@ -142,22 +144,22 @@ def test_homing_is_refused_while_estop_is_pressed() -> None:
     machine.port.push(PRESSED)
 
     def script() -> Iterator[Any]:
-        yield from machine.ask("$H\n", "error:9\r\n")
-        assert machine.said() == LOCKED
+        yield from machine.send_and_wait("$H\n", "error:9\r\n")
+        assert machine.received_text() == LOCKED
 
     machine.play(script)
 
 
 def hold(machine: Machine) -> Iterator[Any]:
     """Start a move, and stop in a feed hold."""
-    yield from machine.ask("G1 X100 F500\n", "ok\r\n")
+    yield from machine.send_and_wait("G1 X100 F500\n", "ok\r\n")
     machine.link.send(b"!")
-    yield machine.ms(2000)
+    yield machine.ms(2000)  # until it has stopped
 
 
 def jog(machine: Machine) -> Iterator[Any]:
     """Start a jog."""
-    yield from machine.ask("$J=G91 X100 F500\n", "ok\r\n")
+    yield from machine.send_and_wait("$J=G91 X100 F500\n", "ok\r\n")
     yield machine.ms(100)
 
 
@@ -169,7 +171,7 @@ def home(machine: Machine) -> Iterator[Any]:
 
 def check(machine: Machine) -> Iterator[Any]:
     """Switch check mode on."""
-    yield from machine.ask("$C\n", "ok\r\n")
+    yield from machine.send_and_wait("$C\n", "ok\r\n")
 
 
 def sleep(machine: Machine) -> Iterator[Any]:
@@ -194,16 +196,16 @@ def test_estop_works_in_every_state(
 
     def script() -> Iterator[Any]:
         """Bring the machine into a state, press, and read the alarm."""
-        yield from machine.ask("$X\n", "ok\r\n")
+        yield from machine.send_and_wait("$X\n", "ok\r\n")
         yield from prepare(machine)
         machine.link.received.clear()
         if not has_interrupt:
             machine.port._listener = None
         machine.port.push(PRESSED)
         yield lambda: b"unlock]\r\n" in machine.link.received
-        assert "ALARM:17\r\n" in machine.said()
-        assert machine.said().count("ALARM") == 1
-        assert not machine.moving() and machine.off()
+        assert "ALARM:17\r\n" in machine.received_text()
+        assert machine.received_text().count("ALARM") == 1
+        assert not machine.moving() and machine.tools_are_off()
 
     machine.play(script)
 
@@ -215,20 +217,20 @@ def test_tool_that_a_failed_probing_leaves_on_is_switched_off(touches: bool) -> 
 
     def script() -> Iterator[Any]:
         """Probe in vain with the spindle on, then press twice."""
-        yield from machine.ask("M3 S1000 M8\n", "ok\r\n")
+        yield from machine.send_and_wait("M3 S1000 M8\n", "ok\r\n")
         # touching already: ALARM:4; no contact at all: ALARM:5
         machine.port.push({"probe": touches})
-        yield from machine.ask("G38.2 Z-0.1 F100\n", "ALARM:4" if touches else "ALARM:5")
-        yield machine.ms(800)
-        assert not machine.off()
+        yield from machine.send_and_wait("G38.2 Z-0.1 F100\n", "ALARM:4" if touches else "ALARM:5")
+        yield machine.ms(800)  # until the alarm is over
+        assert not machine.tools_are_off()
         machine.link.received.clear()
         machine.port.push(PRESSED)
-        assert machine.off()
+        assert machine.tools_are_off()
         yield machine.ms(800)
         machine.port.push(PRESSED)  # a contact that bounces is not reported again
         yield machine.ms(800)
-        assert machine.off() and machine.said().count("ALARM:17") == 1
-        yield from machine.ask("$X\n", "error:9\r\n")
+        assert machine.tools_are_off() and machine.received_text().count("ALARM:17") == 1
+        yield from machine.send_and_wait("$X\n", "error:9\r\n")
 
     machine.play(script)
 
@@ -243,7 +245,7 @@ def test_alarm_after_the_check_for_one_is_reported(pushed: "dict[str, bool]", sa
 
     def script() -> Iterator[Any]:
         """Start a move; push the input in the middle of a pass of the main loop."""
-        yield from machine.ask("G1 X100 F500\n", "ok\r\n")
+        yield from machine.send_and_wait("G1 X100 F500\n", "ok\r\n")
         yield machine.ms(300)
         machine.link.received.clear()
 
@@ -256,7 +258,7 @@ def test_alarm_after_the_check_for_one_is_reported(pushed: "dict[str, bool]", sa
 
         machine.engine.fault = push_during_check  # type: ignore[method-assign]
         yield machine.ms(300)
-        assert machine.said().startswith(said)
+        assert machine.received_text().startswith(said)
 
     machine.play(script)
 
@@ -267,15 +269,15 @@ def test_failing_callback_is_an_alarm_with_its_cause() -> None:
 
     def script() -> Iterator[Any]:
         """Do during a move what a port does whose callback has failed."""
-        yield from machine.ask("M3 S1000 G1 X100 F500\n", "ok\r\n")
+        yield from machine.send_and_wait("M3 S1000 G1 X100 F500\n", "ok\r\n")
         yield machine.ms(300)
         machine.link.received.clear()
         machine.port.fault = "A pin's callback has failed"
         machine.port.kill()
         machine.port._listener.on_fault()
-        assert machine.off() and not machine.moving()
+        assert machine.tools_are_off() and not machine.moving()
         yield lambda: b"unlock]\r\n" in machine.link.received
-        assert "ALARM:16\r\n[MSG:A pin's callback has failed]" in machine.said()
-        yield from machine.ask("$X\n", "ok\r\n")
+        assert "ALARM:16\r\n[MSG:A pin's callback has failed]" in machine.received_text()
+        yield from machine.send_and_wait("$X\n", "ok\r\n")
 
     machine.play(script)

@@ -43,8 +43,8 @@ class Bench:
         else:
             self.port = gpio.GpioPort(board_module)
         self.chip = chip
-        self.port.add_pins((21, 22), (26, 27))  # outputs (PUNCH_DOWN, PUNCH_UP), inputs
-        self.port.rest(2)  # levels when off, a bit per output: only PUNCH_UP is high
+        self.port.add_pins(outputs=(21, 22), inputs=(26, 27))  # PUNCH_DOWN, PUNCH_UP
+        self.port.rest(levels=2)  # levels when off, a bit per output: only PUNCH_UP is high
 
     def outputs(self) -> "dict[str, int]":
         """Return for each output its difference from off: 0 to 65535, on the simulator as
@@ -116,31 +116,30 @@ def interrupted(
     return count > index
 
 
-def work_of(what: str) -> "Callable[[Any], object]":
+def work_named(what: str) -> "Callable[[Any], object]":
     """Return the work of that name, or for "pulse": pulses at an output of an extra."""
-    # output 0 (PUNCH_DOWN), 5000 Hz, 30000 of 65535 on
-    return WORK[what] if what in WORK else lambda port: port.pulse(0, 5000, 30000)
+    return WORK[what] if what in WORK else lambda port: port.pulse(index=0, hz=5000, duty=30000)
 
 
-def kill_everywhere(bench: "Callable[[], Bench]", work: "Callable[[Any], object]") -> int:
+def kill_everywhere(make_bench: "Callable[[], Bench]", work: "Callable[[Any], object]") -> int:
     """Interrupt work by kill() before each bytecode; return the number of bytecodes."""
     bytecode = 0
     while True:
-        fresh = bench()
-        port = fresh.port
+        bench = make_bench()
+        port = bench.port
         if not interrupted(lambda: work(port), bytecode, port.kill):  # noqa: B023
             let_pass(200)
-            assert any(fresh.outputs().values())  # not killed: it is on
+            assert any(bench.outputs().values())  # not killed: it is on
             return bytecode
-        assert not any(fresh.outputs().values()), bytecode
+        assert not any(bench.outputs().values()), bytecode
         work(port)
         let_pass(200)
-        assert not any(fresh.outputs().values()), bytecode
+        assert not any(bench.outputs().values()), bytecode
         port.revive()  # allows outputs again, but switches none on
-        assert not any(fresh.outputs().values()), bytecode
+        assert not any(bench.outputs().values()), bytecode
         work(port)
         let_pass(200)
-        assert any(fresh.outputs().values()), bytecode
+        assert any(bench.outputs().values()), bytecode
         bytecode += 1
 
 
@@ -151,7 +150,7 @@ def test_interrupted_work_never_switches_a_tool_on(
     chip: str, what: str, inverted: "tuple[str, ...]"
 ) -> None:
     # so many bytecodes were traced: else nothing was tested
-    assert kill_everywhere(lambda: Bench(chip, inverted), work_of(what)) > 20
+    assert kill_everywhere(lambda: Bench(chip, inverted), work_named(what)) > 20
 
 
 @pytest.mark.parametrize("what", WORK)
@@ -182,7 +181,7 @@ def test_punch_with_inverted_wiring_is_raised() -> None:
     """The level when off is that of rest(): here PUNCH_DOWN high, PUNCH_UP low."""
     bench = Bench("rp2", ())
     bench.port.drive(2)  # bits as in rest(): only the second output high, which moves the punch
-    bench.port.rest(1)
+    bench.port.rest(levels=1)
     bench.port.kill()
     assert (machine.Pin(21).pad(), machine.Pin(22).pad()) == (0xFFFF, 0)
     bench.port.revive()
@@ -222,7 +221,7 @@ def test_kill_holds_all_outputs_of_a_board_with_many() -> None:
     port = gpio.GpioPort(board(**OUTPUTS))
     pins = (0, 1, 21, 22, 26, 27)
     port.add_pins(pins, ())
-    port.rest(0b000010)  # a bit per output: the second is high when off
+    port.rest(levels=0b000010)  # a bit per output: the second is high when off
     port.drive(0b111111)
     port.kill()
     assert [machine.Pin(pin).pad() for pin in pins] == [0, 0xFFFF, 0, 0, 0, 0]
@@ -232,9 +231,9 @@ def test_kill_holds_all_outputs_of_a_board_with_many() -> None:
 
 def test_slow_pulse_has_ended_when_its_output_is_revived() -> None:
     port = gpio.GpioPort(board(**OUTPUTS))
-    port.add_pins((21,), ())
-    port.rest(0)
-    port.pulse(0, 50, 30000)  # output 0, 50 Hz, 30000 of 65535
+    port.add_pins(outputs=(21,), inputs=())
+    port.rest(levels=0)
+    port.pulse(index=0, hz=50, duty=30000)  # 30000 of 65535
     let_pass(20_000)  # a period in us: the pulse begins
     assert machine.Pin(21).pad() == 30000
     port.kill()
@@ -260,16 +259,16 @@ def test_conflicting_pwm_pins_are_reported(
     """Two pins of one PWM slice need one frequency; pins 16 apart are the same output of it.
     other: a pin with pulses of 50 Hz; the spindle on 16 has 5000 Hz."""
     port = gpio.GpioPort(board(SPINDLE_PWM=16, SPINDLE_DIR=None, FLOOD=None))
-    port.add_pins((pin,) if other is None else (pin, other), ())
-    port.rest(0)
+    port.add_pins(outputs=(pin,) if other is None else (pin, other), inputs=())
+    port.rest(levels=0)
     if other is not None:
-        port.pulse(1, 50, 100)  # output index (other), Hz, of 65535
+        port.pulse(index=1, hz=50, duty=100)
     if can_be:
-        port.pulse(0, hz, 200)
-        port.pulse(0, hz, 300)  # also to change it
+        port.pulse(index=0, hz=hz, duty=200)
+        port.pulse(index=0, hz=hz, duty=300)  # also to change it
     else:
         with pytest.raises(ValueError, match="shares a PWM slice with pin"):
-            port.pulse(0, hz, 200)
+            port.pulse(index=0, hz=hz, duty=200)
 
 
 @pytest.mark.parametrize(
@@ -282,14 +281,15 @@ def test_pins_above_31_share_slices_only_with_each_other(
     """On an RP2350B, 32 and 40 are one output of slice 8, 33 and 41 the other."""
     monkeypatch.setattr(sys.implementation, "_machine", "a board with RP2350", raising=False)
     port = gpio.GpioPort(board(SPINDLE_PWM=16, SPINDLE_DIR=None, FLOOD=None))
-    port.add_pins((pin, other), ())
-    port.rest(0)
-    port.pulse(1, 50, 100)  # other: 50 Hz; then pin: 60 Hz, possible only in another slice
+    port.add_pins(outputs=(pin, other), inputs=())
+    port.rest(levels=0)
+    # other: 50 Hz; then pin: 60 Hz, possible only in another slice
+    port.pulse(index=1, hz=50, duty=100)
     if can_be:
-        port.pulse(0, 60, 200)
+        port.pulse(index=0, hz=60, duty=200)
     else:
         with pytest.raises(ValueError, match="shares a PWM slice with pin"):
-            port.pulse(0, 60, 200)
+            port.pulse(index=0, hz=60, duty=200)
 
 
 def test_fast_inputs_must_be_pins_up_to_31(
@@ -303,22 +303,22 @@ def test_fast_inputs_must_be_pins_up_to_31(
 def test_slice_is_shared_when_the_chip_rounds_the_frequency() -> None:
     """The second pulse asks for 39999 Hz, the slice has 40000: no conflict."""
     port = gpio.GpioPort(board(SPINDLE_PWM=16, SPINDLE_DIR=None, FLOOD=None))
-    port.add_pins((20, 21), ())
-    port.rest(0)
+    port.add_pins(outputs=(20, 21), inputs=())
+    port.rest(levels=0)
     for index in (0, 1, 0):
-        port.pulse(index, 39_999, 100)
+        port.pulse(index=index, hz=39_999, duty=100)
     assert machine.PWM.outputs[20].freq() == 40_000
 
 
 # Callbacks that fail
 
 
-def listener(heard: "Callable[..., Any]", on_fault: "Callable[[], Any]") -> Any:
+def listener(callback: "Callable[..., Any]", on_fault: "Callable[[], Any]") -> Any:
     """Return a listener that calls `heard` for limits and for controls."""
-    return SimpleNamespace(on_limits=heard, on_controls=heard, on_fault=on_fault)
+    return SimpleNamespace(on_limits=callback, on_controls=callback, on_fault=on_fault)
 
 
-def made(chip: str) -> "tuple[Any, Any, list[str]]":
+def failing_port(chip: str) -> "tuple[Any, Any, list[str]]":
     """Return a port whose callbacks all fail, its pins, and the faults it has reported."""
     changes: "dict[str, Any]" = {**OUTPUTS, "ESTOP": 28}
     pins: Any = machine.Pin if chip == "rp2" else esp_bench.esp_machine.Pin
@@ -331,7 +331,7 @@ def made(chip: str) -> "tuple[Any, Any, list[str]]":
 
     port.attach(listener(fail, lambda: reported_faults.append(port.fault)))
     port.enable_limits(True)
-    port.add_pins((21, 22), (26, 27))
+    port.add_pins(outputs=(21, 22), inputs=(26, 27))
     port.watch_pins(fail)
     return port, pins, reported_faults
 
@@ -340,7 +340,7 @@ def made(chip: str) -> "tuple[Any, Any, list[str]]":
 @pytest.mark.parametrize("chip", ["rp2", "esp"])
 def test_failing_callback_kills_the_tool_and_is_reported(chip: str, pin: int) -> None:
     """Pins: 9 limit, 13 control, 12 probe, 26 watched by an extra, 28 emergency stop."""
-    port, pins, reported_faults = made(chip)
+    port, pins, reported_faults = failing_port(chip)
     if pin == 12:
         port.watch_probe(lambda: 1 // 0, True)
     port.spindle(True, 700)
@@ -353,7 +353,7 @@ def test_failing_callback_kills_the_tool_and_is_reported(chip: str, pin: int) ->
 
 def test_failing_timer_callback_is_reported() -> None:
     """Timers read bouncing inputs once more; here only these readings call failing callbacks."""
-    port, pins, reported_faults = made("rp2")
+    port, pins, reported_faults = failing_port("rp2")
     failing, on_fault = port._listener, port._listener.on_fault
     port._listener = listener(lambda *_: None, on_fault)
     pins(9).drive(0)  # limit; 13: control
@@ -371,7 +371,7 @@ def test_failing_timer_callback_is_reported() -> None:
 @pytest.mark.parametrize("pin", [9, 13])
 def test_input_is_read_again_after_its_callback_failed(pin: int) -> None:
     """The failure must not leave the input ignored: after the timers, a new edge is reported."""
-    port, pins, reported_faults = made("rp2")
+    port, pins, reported_faults = failing_port("rp2")
     pins(pin).drive(0)
     port._look_timer.expire()
     port._control_timer.expire()

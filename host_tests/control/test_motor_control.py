@@ -16,14 +16,14 @@ _STOPPED = ["kill", "stop"]  # calls of a stop: tool off (port), motors stopped 
 
 
 class Bench:
-    """A motor control between fakes that append their calls to one list, `asked`; fails: see
+    """A motor control between fakes that append their calls to one list, `calls`; fails: see
     FakePort."""
 
     def __init__(self, fails: str = "") -> None:
-        self.asked: Asked = []
+        self.calls: Asked = []
         self.state = State()
-        self.port, self.engine = FakePort(self.asked, fails), FakeEngine(self.asked)
-        self.voice = FakeVoice(self.asked)
+        self.port, self.engine = FakePort(self.calls, fails), FakeEngine(self.calls)
+        self.voice = FakeVoice(self.calls)
         self.settings: Any = SimpleNamespace(hard_limits=1, idle_lock_ms=25, enable_invert=0)
         machine: Any = SimpleNamespace(
             state=self.state,
@@ -31,23 +31,27 @@ class Bench:
             engine=self.engine,
             planner=SimpleNamespace(empty=lambda: True),
             segments=SimpleNamespace(hold=lambda on: None),
-            spindle=SimpleNamespace(stop=lambda: self.asked.append("spindle stop")),
+            spindle=SimpleNamespace(stop=lambda: self.calls.append("spindle stop")),
             coolant=Coolant(self.port, self.state),
             port=self.port,
             report=self.voice,
         )
-        self.drive = MotorControl(machine)
+        self.motor_control = MotorControl(machine)
 
 
 @pytest.mark.parametrize(
     ("stop", "alarm", "by_pin"),
     [
-        (lambda drive: drive.reset(), 0, False),
-        (lambda drive: drive.on_limits(), errors.ALARM_HARD_LIMIT, True),
-        (lambda drive: drive.on_controls(RESET), 0, True),
-        (lambda drive: drive.on_controls(EMERGENCY_STOP), errors.ALARM_EMERGENCY_STOP, True),
-        (lambda drive: drive.emergency(), errors.ALARM_EMERGENCY_STOP, False),
-        (lambda drive: drive.on_fault(), errors.ALARM_INTERNAL, False),
+        (lambda control: control.reset(), 0, False),
+        (lambda control: control.on_limits(), errors.ALARM_HARD_LIMIT, True),
+        (lambda control: control.on_controls(RESET), 0, True),
+        (
+            lambda control: control.on_controls(EMERGENCY_STOP),
+            errors.ALARM_EMERGENCY_STOP,
+            True,
+        ),
+        (lambda control: control.emergency(), errors.ALARM_EMERGENCY_STOP, False),
+        (lambda control: control.on_fault(), errors.ALARM_INTERNAL, False),
     ],
     ids=["reset", "limit", "reset button", "emergency stop", "emergency, seen late", "fault"],
 )
@@ -55,63 +59,63 @@ def test_tool_is_switched_off_before_motors_stop(stop: Any, alarm: int, by_pin: 
     """by_pin: the reset came from an input, not from the link; bytes sent before it are dropped
     then."""
     bench = Bench()
-    stop(bench.drive)
-    assert bench.asked == _STOPPED
+    stop(bench.motor_control)
+    assert bench.calls == _STOPPED
     assert bench.state.pending[st.RESET] and bench.state.pending[st.ANY]
-    assert (bench.state.alarm, bench.drive.by_pin) == (alarm, by_pin)
+    assert (bench.state.alarm, bench.motor_control.by_pin) == (alarm, by_pin)
 
 
 def test_motors_stop_even_when_switching_the_tool_off_fails() -> None:
     bench = Bench(fails="kill")
     with pytest.raises(OSError):
-        bench.drive.reset()
-    assert bench.asked == _STOPPED
+        bench.motor_control.reset()
+    assert bench.calls == _STOPPED
 
 
 def test_disabled_limit_stops_nothing() -> None:
     bench = Bench()
     bench.settings.hard_limits = 0
-    bench.drive.on_limits()
-    assert bench.asked == [] and not bench.state.pending[st.ANY]
+    bench.motor_control.on_limits()
+    assert bench.calls == [] and not bench.state.pending[st.ANY]
 
 
 def test_stop_stays_in_effect_when_the_machine_is_armed_again() -> None:
     """arm() enables motors and tool; if a reset waits to be executed, it stops them again."""
     bench = Bench()
-    bench.drive.arm()
-    assert bench.asked == ["arm", "revive"]
-    bench.drive.on_controls(RESET)
-    bench.asked.clear()
-    bench.drive.arm()
-    assert bench.asked == ["arm", "revive", *_STOPPED]
+    bench.motor_control.arm()
+    assert bench.calls == ["arm", "revive"]
+    bench.motor_control.on_controls(RESET)
+    bench.calls.clear()
+    bench.motor_control.arm()
+    assert bench.calls == ["arm", "revive", *_STOPPED]
 
 
 def test_motors_are_powered_before_they_move_and_released_later() -> None:
     """Released after the idle delay, 25 ms here; the clock of FakePort advances by 1 ms per
     reading. `enable 0`: powered."""
     bench = Bench()
-    bench.drive.start(st.RUN)
-    assert bench.asked == ["enable 0", "start"] and bench.state.run == st.RUN
-    bench.drive.poll_motors()
-    assert bench.drive.moving
+    bench.motor_control.start(st.RUN)
+    assert bench.calls == ["enable 0", "start"] and bench.state.run == st.RUN
+    bench.motor_control.poll_motors()
+    assert bench.motor_control.moving
     bench.engine.runs = False
     polls = 0
-    while bench.drive.moving or bench.drive.in_idle_delay:
-        bench.drive.poll_motors()
+    while bench.motor_control.moving or bench.motor_control.in_idle_delay:
+        bench.motor_control.poll_motors()
         polls += 1
-    assert polls > 5 and bench.asked[-1] == "enable 1"
+    assert polls > 5 and bench.calls[-1] == "enable 1"
     assert bench.state.pending[st.CYCLE_STOP]
 
 
 def test_engine_fault_is_raised_and_port_fault_is_reported() -> None:
     bench = Bench()
-    bench.drive.start(st.RUN)
+    bench.motor_control.start(st.RUN)
     bench.engine.told_fault = "motion is late"
     with pytest.raises(RuntimeError, match="motion is late"):
-        bench.drive.poll_motors()
+        bench.motor_control.poll_motors()
     bench.port.fault = "A pin's callback has failed"
-    bench.drive.on_fault()
-    report_cause = bench.drive.enter_alarm()  # the report is left to the caller
-    assert bench.asked[-2:] == ["spindle stop", "coolant 0"] and report_cause
+    bench.motor_control.on_fault()
+    report_cause = bench.motor_control.enter_alarm()  # the report is left to the caller
+    assert bench.calls[-2:] == ["spindle stop", "coolant 0"] and report_cause
     report_cause()
-    assert bench.asked[-1] == "message A pin's callback has failed"
+    assert bench.calls[-1] == "message A pin's callback has failed"

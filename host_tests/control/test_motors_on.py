@@ -25,12 +25,12 @@ class Bench(Machine):
         board = ModuleType("board")
         vars(board).update(vars(load_board("sim")), ESTOP=28)
         super().__init__({**_ALWAYS, **settings}, board, watched=False)
-        self.levels: list[int] = []
+        self.enable_levels: list[int] = []
         self._enable = self.rig.port.enable
         self.rig.port.enable = self._note  # type: ignore[method-assign]
 
     def _note(self, level: int) -> None:
-        self.levels.append(level)
+        self.enable_levels.append(level)
         self._enable(level)
 
     def say(self, text: str, ms: float = _AFTER_MS) -> Script:
@@ -44,7 +44,7 @@ class Bench(Machine):
         self.rig.port.push(pins)
         return self.say("")
 
-    def switch(self, steps: int, bounces: int = 0) -> None:
+    def add_switches(self, steps: int, bounces: int = 0) -> None:
         """Add a limit switch to each axis that closes at this position in steps, on the way
         down."""
         for axis, letter in enumerate("xyz"):
@@ -142,9 +142,9 @@ def homing_finds_nothing(bench: Bench) -> Script:
 def emergency_stop(bench: Bench) -> Script:
     """Press it during a move, then release it: its contact is normally closed."""
     yield from bench.say(_MOVE, 200)
-    said = yield from bench.push(estop=False)
+    output = yield from bench.push(estop=False)
     yield from bench.push(estop=True)
-    return said
+    return output
 
 
 def pin_callback_fails(bench: Bench) -> Script:
@@ -218,7 +218,7 @@ def test_motors_stay_on(
         assert (yield from bench.say("G91 G0 X0.1\n"))[-1] == "ok"
 
     bench.run(script())
-    assert set(bench.levels) == {inverted}, bench.levels  # $4=1 inverts the level
+    assert set(bench.enable_levels) == {inverted}, bench.enable_levels  # $4=1 inverts the level
 
 
 @pytest.mark.parametrize("homing", [0, 1])
@@ -229,10 +229,10 @@ def test_motors_are_on_from_power_up(homing: int) -> None:
         """Start, switch power off and on. The levels are those of the enable pin."""
         yield from bench.start()
         yield from bench.say("")
-        assert bench.levels == [0]  # 0: powered
+        assert bench.enable_levels == [0]  # 0: powered
         bench.rig.cycle_power()
         yield from bench.say("")
-        assert bench.levels == [0, 0]  # set again after power-up
+        assert bench.enable_levels == [0, 0]  # set again after power-up
 
     bench.run(script())
 
@@ -246,12 +246,12 @@ def test_sleep_releases_motors_until_they_move_again() -> None:
         """Move, sleep, reset, unlock, move. Levels of the enable pin: 0 powered, 1 released."""
         yield from bench.start()
         yield from bench.say(_MOVE + "$SLP\n", 5000)
-        assert bench.levels == [0, 1]
+        assert bench.enable_levels == [0, 1]
         yield from bench.say("\x18")
         yield from bench.say("$X\n")
-        assert bench.levels == [0, 1]
+        assert bench.enable_levels == [0, 1]
         yield from bench.say(_MOVE)
-        assert bench.levels == [0, 1, 0]
+        assert bench.enable_levels == [0, 1, 0]
 
     bench.run(script())
 
@@ -264,6 +264,6 @@ def test_motors_with_a_delay_are_released(stop: "Callable[[Bench], Script]") -> 
     def script() -> Script:
         yield from bench.start()
         yield from stop(bench)
-        assert bench.levels[-1] == 1
+        assert bench.enable_levels[-1] == 1
 
     bench.run(script())

@@ -18,7 +18,7 @@ pytestmark = pytest.mark.sampled(4)
 _FAST = {110: 3000, 111: 3000, 112: 3000, 120: 200, 121: 200, 122: 200}
 _PER_MM = 250
 _Z = 2
-_HOLD, _DOOR, _TILDE = "!", "\x84", "~"
+_HOLD, _DOOR, _RESUME = "!", "\x84", "~"
 # For `G38.n Z-3 F600`: it reaches 10 mm/s in 50 ms, and brakes in the same time.
 _LINE, _END_STEPS = "G38.%d Z-3 F600", -3 * _PER_MM
 _BRAKES_MS = 80  # includes the segments that the engine has already
@@ -50,20 +50,20 @@ STOPS = (
 
 
 class Bench(Machine):
-    """A machine that probes repeatedly from the same place. top: its Z in steps."""
+    """A machine that probes repeatedly from the same place. top_steps: its Z in steps."""
 
     def __init__(self, stop: Stop) -> None:
         settings = {**_FAST, 22: 1} if stop.parks else _FAST
         super().__init__(settings, stop.board, watched=False)
         self.stop = stop
-        self.top = 0
+        self.top_steps = 0
 
-    def begin(self) -> Script:
+    def start_at_top(self) -> Script:
         """Start the machine; for parking, unlock it and move to Z-20."""
         yield from self.start()
         if self.stop.parks:
             yield from self.say("$X\nG21 G90 G0 Z-20\n")
-            self.top = -20 * _PER_MM
+            self.top_steps = -20 * _PER_MM
 
     def say(self, text: str, how: str = "idle") -> Script:
         """Send text and wait (how: see Sender.wait); return the lines received."""
@@ -71,11 +71,11 @@ class Bench(Machine):
         yield from self.sender.wait(how, text)
         return self.take()
 
-    def z(self) -> int:
+    def z_steps(self) -> int:
         """Return the steps since the start of the probing move."""
-        return self.physical()[_Z] - self.top
+        return self.physical()[_Z] - self.top_steps
 
-    def touch(self, touches: bool) -> None:
+    def set_probe(self, touches: bool) -> None:
         self.rig.port.push({"probe": touches})
 
     def hold(self) -> None:
@@ -84,13 +84,13 @@ class Bench(Machine):
             self.rig.port.push({self.stop.pin: True})
         self.rig.link.send(self.stop.send.encode("latin-1"))
 
-    def go_on(self) -> Script:
+    def resume(self) -> Script:
         """Close the door and resume with `~`; wait until the machine is idle."""
         yield self.rig.ms(40)  # the delay before the hold is complete ($1)
         if self.stop.pin:
             self.rig.port.push({self.stop.pin: False})
             yield self.rig.ms(30)
-        yield from self.say(_TILDE, "ms 30")
+        yield from self.say(_RESUME, "ms 30")
         yield self.idle
 
     def probe(self, word: int, events: "dict[float, Any]") -> Script:
@@ -100,9 +100,9 @@ class Bench(Machine):
         that ends the move: G38.2 and .3 end at a contact, .4 and .5 when it is lost.
         """
         starts_closed = word > 3
-        self.touch(starts_closed)
-        yield from self.say("G90 G0 Z%g\n" % (self.top / _PER_MM))
-        assert self.z() == 0
+        self.set_probe(starts_closed)
+        yield from self.say("G90 G0 Z%g\n" % (self.top_steps / _PER_MM))
+        assert self.z_steps() == 0
         self.rig.link.send(b"G91 " + (_LINE % word).encode() + b"\n")
         yield self.rig.moving
         start = self.rig.now
@@ -115,68 +115,70 @@ class Bench(Machine):
 
     def state(self) -> Script:
         """Return the state in the status report, e.g. "Idle"."""
-        said = yield from self.say("?", "report")
-        return said[-1][1:].split("|")[0].split(":")[0]
+        output = yield from self.say("?", "report")
+        return output[-1][1:].split("|")[0].split(":")[0]
 
-    def rests(self, word: int, how: str, times_ms: "list[int]") -> Script:
+    def stop_positions(self, word: int, how: str, times_ms: "list[int]") -> Script:
         """Return Z in steps where moves stop that are only held (how: "hold") or only touch (how:
         "contact"), by the time in ms."""
-        stops_at = {}
+        z_by_ms = {}
         for ms in times_ms:
             if how == "hold":
                 yield from self.probe(word, {ms: lambda _: self.hold()})
-                stops_at[ms] = self.z()
-                yield from self.go_on()
+                z_by_ms[ms] = self.z_steps()
+                yield from self.resume()
             else:
-                yield from self.probe(word, {ms: self.touch})
-                stops_at[ms] = self.z()
+                yield from self.probe(word, {ms: self.set_probe})
+                z_by_ms[ms] = self.z_steps()
                 yield self.idle
-            yield from self.free()
-        return stops_at
+            yield from self.unlock_if_alarm()
+        return z_by_ms
 
-    def free(self) -> Script:
+    def unlock_if_alarm(self) -> Script:
         """Leave the alarm of a probe without contact."""
         yield self.rig.ms(30)
         if (yield from self.state()) == "Alarm":
-            yield self.rig.ms(600)
+            yield self.rig.ms(600)  # until the reset after the alarm is over
             yield from self.say("$X\n")
 
 
-def found(said: "list[str]") -> "tuple[int, int]":
+def probe_result(output: "list[str]") -> "tuple[int, int]":
     """Return the result in the first [PRB:…]: Z in steps, and 1 if the probe succeeded."""
-    prb = next(line for line in said if line.startswith("[PRB:"))
+    prb = next(line for line in output if line.startswith("[PRB:"))
     places, success = prb[5:-1].split(":")
     return round(float(places.split(",")[_Z]) * _PER_MM), int(success)
 
 
-def phase(bench: Bench, word: int, hold_ms: float, contact_ms: float, rest: int) -> Script:
-    """Hold and touch at these times; check what holds in any order. rest: where the move must
-    stop, in steps."""
+def hold_and_touch(
+    bench: Bench, word: int, hold_ms: float, contact_ms: float, stop_steps: int
+) -> Script:
+    """Hold and touch at these times; check what holds in any order. stop_steps: where the
+    move must stop."""
     z_at_contact: list[int] = []
 
     def touch(touches: bool) -> None:
-        z_at_contact.append(bench.z())
-        bench.touch(touches)
+        z_at_contact.append(bench.z_steps())
+        bench.set_probe(touches)
 
     times_ms = hold_ms, contact_ms
     said_before = len(bench.received)
     yield from bench.probe(word, {hold_ms: lambda _: bench.hold(), contact_ms: touch})
-    assert bench.z() == rest, times_ms
-    yield bench.rig.ms(300)
-    assert bench.z() == rest, ("in the hold", times_ms)
-    yield from bench.go_on()
+    assert bench.z_steps() == stop_steps, times_ms
+    yield bench.rig.ms(300)  # until the hold is complete
+    assert bench.z_steps() == stop_steps, ("in the hold", times_ms)
+    yield from bench.resume()
     yield bench.rig.ms(50)
-    assert bench.z() == rest, ("after ~", times_ms)
+    assert bench.z_steps() == stop_steps, ("after ~", times_ms)
     assert (yield from bench.state()) == "Idle", times_ms
     bench.take()
     lines = bench.received[said_before:]
-    assert found(lines) == (bench.top + z_at_contact[0], 1), times_ms
+    assert probe_result(lines) == (bench.top_steps + z_at_contact[0], 1), times_ms
     # An ok for the probing line, and one for the line that moved to its start.
     assert lines.count("ok") == 2, (lines, times_ms)
     reported_mm = [float(n) for n in lines[-1].split("MPos:")[1].split("|")[0].split(",")]
-    assert round(reported_mm[_Z] * _PER_MM) == bench.top + rest, times_ms
+    assert round(reported_mm[_Z] * _PER_MM) == bench.top_steps + stop_steps, times_ms
     yield from bench.say("G91 G0 Z1\n")  # the next move begins where the motors are
-    assert bench.z() == rest + _PER_MM, ("planned from elsewhere", times_ms)
+    assert bench.z_steps() == stop_steps + _PER_MM, ("planned from elsewhere", times_ms)
 
 
 @pytest.mark.parametrize("word", [2, 3, 4, 5])
@@ -188,10 +190,10 @@ def test_only_braking_steps_follow_the_contact(stop: Stop, word: int) -> None:
     phases_ms = range((4 * STOPS.index(stop) + word) % 14, 140, 14)
 
     def script() -> Script:
-        yield from bench.begin()
-        rests = yield from bench.rests(word, "hold", [100])
+        yield from bench.start_at_top()
+        stops_at_steps = yield from bench.stop_positions(word, "hold", [100])
         for delay_ms in phases_ms:
-            yield from phase(bench, word, 100, 100 + delay_ms + 0.5, rests[100])
+            yield from hold_and_touch(bench, word, 100, 100 + delay_ms + 0.5, stops_at_steps[100])
 
     bench.run(script())
 
@@ -204,10 +206,10 @@ def test_hold_after_the_contact_changes_nothing(stop: Stop, word: int) -> None:
     bench = Bench(stop)
 
     def script() -> Script:
-        yield from bench.begin()
-        rests = yield from bench.rests(word, "contact", [100])
+        yield from bench.start_at_top()
+        stops_at_steps = yield from bench.stop_positions(word, "contact", [100])
         for delay_ms in range(1 + (STOPS.index(stop) + word) % 6, 60, 6):
-            yield from phase(bench, word, 100 + delay_ms, 100, rests[100])
+            yield from hold_and_touch(bench, word, 100 + delay_ms, 100, stops_at_steps[100])
 
     bench.run(script())
 
@@ -219,26 +221,26 @@ def test_contact_that_ends_before_motion_resumes_is_ignored(stop: Stop) -> None:
 
     def script() -> Script:
         """Hold a probing move; touch and release the probe; resume, and touch it further down."""
-        yield from bench.begin()
+        yield from bench.start_at_top()
         yield from bench.probe(2, {100: lambda _: bench.hold()})
-        held_at = bench.z()
+        held_at_steps = bench.z_steps()
         yield bench.rig.ms(100)
         for touches in (True, False):
-            bench.touch(touches)
+            bench.set_probe(touches)
             yield bench.rig.ms(50)
-        yield from bench.say(_TILDE, "ms 1")
+        yield from bench.say(_RESUME, "ms 1")
         if bench.stop.pin:
             bench.rig.port.push({bench.stop.pin: False})
             yield bench.rig.ms(30)
-            bench.rig.link.send(_TILDE.encode())
-        yield lambda: bench.z() < held_at - 20  # resumed: it moves down again
-        z_at_contact = bench.z()
-        bench.touch(True)
+            bench.rig.link.send(_RESUME.encode())
+        yield lambda: bench.z_steps() < held_at_steps - 20  # resumed: it moves down again
+        z_at_contact = bench.z_steps()
+        bench.set_probe(True)
         yield bench.idle
         yield bench.rig.ms(100)
         bench.take()
-        assert found(bench.received) == (bench.top + z_at_contact, 1)
-        assert _END_STEPS < bench.z() < z_at_contact
+        assert probe_result(bench.received) == (bench.top_steps + z_at_contact, 1)
+        assert _END_STEPS < bench.z_steps() < z_at_contact
 
     bench.run(script())
 
@@ -249,12 +251,12 @@ def test_jog_cancel_does_not_end_a_probe() -> None:
 
     def script() -> Script:
         """Probe with G38.3; 50 ms after its first step send the byte that cancels jogs."""
-        yield from bench.begin()
+        yield from bench.start_at_top()
         yield from bench.probe(3, {50: lambda _: bench.rig.link.send(b"\x85")})
         yield bench.idle
         yield bench.rig.ms(100)
         bench.take()
-        assert bench.z() == _END_STEPS and found(bench.received)[1] == 0
+        assert bench.z_steps() == _END_STEPS and probe_result(bench.received)[1] == 0
 
     bench.run(script())
 
@@ -265,13 +267,13 @@ def test_machine_does_not_park_while_it_probes() -> None:
 
     def script() -> Script:
         """Open the door 100 ms after the first step of a probing move; wait, and resume."""
-        yield from bench.begin()
+        yield from bench.start_at_top()
         yield from bench.probe(3, {100: lambda _: bench.hold()})
-        held_at = bench.z()
+        held_at_steps = bench.z_steps()
         yield bench.rig.ms(1000)
-        assert bench.z() == held_at and (yield from bench.state()) == "Door"
-        yield from bench.go_on()
-        assert bench.z() == _END_STEPS
+        assert bench.z_steps() == held_at_steps and (yield from bench.state()) == "Door"
+        yield from bench.resume()
+        assert bench.z_steps() == _END_STEPS
 
     bench.run(script())
 
@@ -283,14 +285,14 @@ def test_motion_is_free_after_a_reset_in_the_hold_of_a_probe(touches: bool) -> N
 
     def script() -> Script:
         """Hold a probing move, reset, unlock, and move 1 mm down."""
-        yield from bench.begin()
+        yield from bench.start_at_top()
         yield from bench.probe(2, {100: lambda _: bench.hold()})
         yield bench.rig.ms(100)
         yield from bench.say("\x18", "banner")
-        bench.touch(touches)
+        bench.set_probe(touches)
         yield from bench.say("$X\n")
-        held_at = bench.z()
+        held_at_steps = bench.z_steps()
         assert (yield from bench.say("G91 G1 Z-1 F600\n")) == ["ok"]
-        assert bench.z() == held_at - _PER_MM
+        assert bench.z_steps() == held_at_steps - _PER_MM
 
     bench.run(script())

@@ -9,7 +9,7 @@ from rig_bench import Machine
 from ugrbl.boardfile.files import load_board
 
 _FAST = {110: 6000, 120: 500}
-_DOWN_10, _UP_10, _USUAL = b"\x9b", b"\x9a", b"\x99"  # spindle overrides; _USUAL: 100 %
+_DOWN_10, _UP_10, _TO_100 = b"\x9b", b"\x9a", b"\x99"  # spindle overrides; _TO_100: 100 %
 _FULL = 255  # power at $30, 1000 rpm
 
 # A step: a line, whose answer is awaited; real-time bytes; a wait in ms.
@@ -31,7 +31,7 @@ class Tool:
         board = ModuleType("board")
         vars(board).update({**vars(load_board("sim")), **options})
         self.machine = Machine({**_FAST, 32: laser}, board, watched=False)
-        self.shown: list[Shown] = []
+        self.states: list[Shown] = []
 
     def play(self, *steps: Step) -> "list[Shown]":
         """Do the steps; return what is shown after each of them."""
@@ -39,13 +39,13 @@ class Tool:
         def script() -> Iterator[Any]:
             yield from self.machine.start()
             for step in steps:
-                yield from self.do(step)
-                self.shown.append((yield from self.look()))
+                yield from self.do_step(step)
+                self.states.append((yield from self.read_status()))
 
         self.machine.run(script())
-        return self.shown
+        return self.states
 
-    def do(self, step: Step) -> Iterator[Any]:
+    def do_step(self, step: Step) -> Iterator[Any]:
         """Do a step, and wait for the answer of a line."""
         sender = self.machine.sender
         if isinstance(step, str):
@@ -55,7 +55,7 @@ class Tool:
         else:
             yield self.machine.rig.ms(step)
 
-    def look(self) -> "Generator[Any, None, Shown]":
+    def read_status(self) -> "Generator[Any, None, Shown]":
         """Return what a status report and the PWM pin show."""
         machine = self.machine
         machine.take()
@@ -82,30 +82,30 @@ def test_override_at_an_open_door_applies_to_the_motion_after_it(laser: int, whe
 
 
 def test_tool_stays_off_when_it_is_overridden_at_an_open_door() -> None:
-    shown = Tool().play(*_MOVES, 200, b"\x84", 600, _DOWN_10, 50)  # 0x84: the door opens; then ms
-    assert shown[-1] == ("Door:0", 0, 0)
+    states = Tool().play(*_MOVES, 200, b"\x84", 600, _DOWN_10, 50)  # 0x84: the door opens; then ms
+    assert states[-1] == ("Door:0", 0, 0)
 
 
 @pytest.mark.parametrize("laser", [0, 1])
 @pytest.mark.parametrize("after_ms", [0, 3, 40, 90, 150, 190, 260])
 def test_override_at_the_end_of_motion_is_not_lost(laser: int, after_ms: int) -> None:
     """The last steps are under way, or the motors are still powered ($1)."""
-    shown = Tool(laser).play("$1=200", "M3S500G1F600", "X0.5", 30 + after_ms, _UP_10 * 10, 1000)
-    assert shown[-1] == ("Idle", 1000, _FULL)
+    states = Tool(laser).play("$1=200", "M3S500G1F600", "X0.5", 30 + after_ms, _UP_10 * 10, 1000)
+    assert states[-1] == ("Idle", 1000, _FULL)
 
 
 def test_override_in_alarm_reaches_a_tool_that_is_on() -> None:
     """A probe without contact ends in ALARM:5, which leaves the tool on, as in Grbl."""
-    shown = Tool().play("M3S1000", "G38.2Z-0.2F100", 1000, _DOWN_10 * 5, 50, "$X", 50)
-    # shown[3]: after the override to 50 %
-    assert shown[3] == ("Alarm", 500, 128) and shown[-1] == ("Idle", 500, 128)
+    states = Tool().play("M3S1000", "G38.2Z-0.2F100", 1000, _DOWN_10 * 5, 50, "$X", 50)
+    # states[3]: after the override to 50 %
+    assert states[3] == ("Alarm", 500, 128) and states[-1] == ("Idle", 500, 128)
 
 
-@pytest.mark.parametrize("change", [_DOWN_10, b"\x9d", _USUAL])
+@pytest.mark.parametrize("change", [_DOWN_10, b"\x9d", _TO_100])
 def test_dark_laser_stays_dark_when_it_is_overridden(change: bytes) -> None:
     """M3 was given, but a G0 switches the laser off. 0x9d: down by 1 %."""
-    shown = Tool(laser=1).play("M3S500G1F600", "G0X1", 500, change, 50)
-    assert shown[-1] == ("Idle", 0, 0)
+    states = Tool(laser=1).play("M3S500G1F600", "G0X1", 500, change, 50)
+    assert states[-1] == ("Idle", 0, 0)
 
 
 @pytest.mark.parametrize("in_hold", [(_UP_10, 50, b"\x9e"), (b"\x9e", 50, _UP_10)])
@@ -114,23 +114,23 @@ def test_dark_laser_stays_dark_when_it_is_overridden_and_restored_in_a_hold(
 ) -> None:
     """G0 has switched it off. 0x9e toggles what the hold has stopped."""
     steps = ("M3S500", "G0X1", 500, b"!", 50, *in_hold, 50, b"~", 50)
-    shown = Tool(laser=1).play(*steps)
-    assert all(each.power == 0 for each in shown[2:]) and shown[-1] == ("Idle", 0, 0)
+    states = Tool(laser=1).play(*steps)
+    assert all(each.power == 0 for each in states[2:]) and states[-1] == ("Idle", 0, 0)
 
 
 @pytest.mark.parametrize("door_ms", range(360, 480, 10))
 def test_laser_has_its_last_power_after_a_door_at_the_end_of_motion(door_ms: int) -> None:
     """The door opens in a block at S1000. Motion ends, at S100, while it slows down."""
     moves = ("G1F3000", "M3S0", "X20S1000", "X22S100")
-    shown = Tool(laser=1).play(*moves, door_ms, b"\x84", 1500, b"~", 1500)
-    assert shown[-1] == ("Idle", 100, 26)  # 26 of 255 for 100 of 1000 rpm
+    states = Tool(laser=1).play(*moves, door_ms, b"\x84", 1500, b"~", 1500)
+    assert states[-1] == ("Idle", 100, 26)  # 26 of 255 for 100 of 1000 rpm
 
 
 @pytest.mark.parametrize("laser", [0, 1])
 def test_override_reaches_blocks_that_are_planned_and_not_started(laser: int) -> None:
     lines = b"X2\nX3\n" + _DOWN_10 * 5 + b"X4\n"
-    shown = Tool(laser).play("M3S1000", "G1F1200", "X1", 500, lines, 60)
-    assert shown[-1] == ("Run", 500, 128)
+    states = Tool(laser).play("M3S1000", "G1F1200", "X1", 500, lines, 60)
+    assert states[-1] == ("Run", 500, 128)
 
 
 @pytest.mark.parametrize(("laser", "stop"), [(1, b""), (0, b"\x9e")])
@@ -138,8 +138,8 @@ def test_stopped_tool_has_no_speed_when_it_is_overridden_in_a_hold(
     laser: int, stop: bytes
 ) -> None:
     """A hold stops a laser; 0x9e stops a spindle in a hold."""
-    shown = Tool(laser).play(*_MOVES, 200, b"!", 500, stop, 50, _UP_10, 50)
-    assert shown[-1] == ("Hold:0", 0, 0)
+    states = Tool(laser).play(*_MOVES, 200, b"!", 500, stop, 50, _UP_10, 50)
+    assert states[-1] == ("Hold:0", 0, 0)
 
 
 @pytest.mark.parametrize("moves", [("G1X10",), ()], ids=["motion ahead", "at rest"])
@@ -158,13 +158,13 @@ def test_held_laser_is_dark_after_a_start_that_a_hold_prevents(
         yield from tool.machine.start()
         steps: list[Step] = ["G1F600", "M3S1000", *moves, 100, b"!", 700]
         for step in steps:
-            yield from tool.do(step)
+            yield from tool.do_step(step)
         link.send(b"~")
         yield gap_us * rig.ticks_per_ms // 1000
         link.send(b"!")
         for _ in range(3):
             yield rig.ms(400)
-            states.append((yield from tool.look()))
+            states.append((yield from tool.read_status()))
 
     tool.machine.run(script())
     assert states[-1] == ("Hold:0", 0, 0)
@@ -175,7 +175,7 @@ def test_setting_that_darkens_a_laser_leaves_it_dark_after_it_is_stored(line: st
     """The laser is on before. A store that blocks interrupts switches it off meanwhile: after
     saving, it must not be switched on again."""
     tool = Tool(laser=1)
-    shown: list[Shown] = []
+    states: list[Shown] = []
 
     def script() -> Iterator[Any]:
         """Switch the laser on, change a setting with a store like that of a board, and record."""
@@ -193,17 +193,17 @@ def test_setting_that_darkens_a_laser_leaves_it_dark_after_it_is_stored(line: st
         store.save = around
         steps: list[Step] = ["G1F600", "M3S500", line, 50]
         for step in steps:
-            yield from tool.do(step)
-            shown.append((yield from tool.look()))
+            yield from tool.do_step(step)
+            states.append((yield from tool.read_status()))
 
     tool.machine.run(script())
-    assert shown[1].power == 128 and shown[-1].power == 0  # shown[1]: after M3S500, half of 255
+    assert states[1].power == 128 and states[-1].power == 0  # states[1]: after M3S500, half of 255
 
 
 @pytest.mark.parametrize("value", ["9" * 39, "9" * 60])
 def test_speed_beyond_single_precision_is_no_fault(value: str) -> None:
-    shown = Tool().play(f"$31={value}", "M3S500", "G1X1F600", 50)
-    assert shown[-1].state in ("Run", "Idle")
+    states = Tool().play(f"$31={value}", "M3S500", "G1X1F600", 50)
+    assert states[-1].state in ("Run", "Idle")
 
 
 def test_parking_stays_off_after_the_program_until_m56() -> None:

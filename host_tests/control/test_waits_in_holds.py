@@ -167,8 +167,8 @@ class Trial:
         yield from machine.start()
         sender.allow(_PATIENCE_MS)
         for line in ("$X", "M8", *self._motion.before):
-            yield from sender.wait("idle", line + "\n", 1)
-        yield from self._see(self.before)
+            yield from sender.wait("idle", line + "\n", settle=1)
+        yield from self._record_state(self.before)
         sent_at = rig.now
         lines = [*self._motion.lines, *self._command.split("\n")]
         rig.link.send("".join(line + "\n" for line in lines).encode())
@@ -181,7 +181,7 @@ class Trial:
             yield sent_at + int(self._hold_ms * rig.ticks_per_ms)
             yield from self._hold()
         yield from machine.rest()
-        yield from self._see(self.at_last)
+        yield from self._record_state(self.at_last)
 
     def _hold(self) -> Iterator[Any]:
         """Hold, wait until the machine has stopped, record its state, send `held`, and resume."""
@@ -192,30 +192,30 @@ class Trial:
             yield rig.ms(5)
             assert rig.now < sender.deadline
         yield rig.ms(2 * _AFTER_MS)
-        yield from self._see(self.in_hold)
+        yield from self._record_state(self.in_hold)
         rig.link.send(self._held.encode("latin-1"))
         yield rig.ms(_AFTER_MS)
         if "\x18" not in self._held:  # a reset ends the hold
             rig.link.send(b"~")
 
-    def _see(self, seen: "dict[str, Any]") -> Iterator[Any]:
-        """Record in `seen` the state of the machine, and its reports."""
+    def _record_state(self, state: "dict[str, Any]") -> Iterator[Any]:
+        """Record in `state` the state of the machine, and its reports."""
         machine, port = self.rig.controller, self.rig.port
-        seen["stored"] = {name: list(lines) for name, lines in self.rig.store.files.items()}
-        seen["steps"] = self.machine.physical()
-        seen["modes"] = machine.commands.modes()
-        seen["pins"] = (port.spindle_on, port.spindle_pwm, port.flood, port.mist)
-        seen["direction"] = port.spindle_dir if port.spindle_on else None
-        seen["run"] = machine.state.run
+        state["stored"] = {name: list(lines) for name, lines in self.rig.store.files.items()}
+        state["steps"] = self.machine.physical()
+        state["modes"] = machine.commands.modes()
+        state["pins"] = (port.spindle_on, port.spindle_pwm, port.flood, port.mist)
+        state["direction"] = port.spindle_dir if port.spindle_on else None
+        state["run"] = machine.state.run
         self.machine.take()
         yield from self.machine.sender.wait("report", "?")
         report = next(line for line in self.machine.take() if line.startswith("<"))
         fields = dict(field.split(":", 1) for field in report[1:-1].split("|") if ":" in field)
         per_mm = machine.settings.steps_per_mm
         place = zip(fields["MPos"].split(","), per_mm, strict=True)
-        seen["reported steps"] = [round(float(mm) * steps) for mm, steps in place]
-        seen["reported speed"] = fields["FS"].split(",")[1]
-        seen["reported tool"] = machine.spindle.direction(), machine.coolant.mask
+        state["reported steps"] = [round(float(mm) * steps) for mm, steps in place]
+        state["reported speed"] = fields["FS"].split(",")[1]
+        state["reported tool"] = machine.spindle.direction(), machine.coolant.mask
 
 
 @cache
@@ -224,79 +224,79 @@ def without_hold(name: str, command: str) -> Trial:
     return Trial(MOTIONS[name], command).run()
 
 
-def _tool(seen: "dict[str, Any]") -> "list[str]":
+def _tool(state: "dict[str, Any]") -> "list[str]":
     """Return the modes of spindle and coolant in `$G`."""
-    return re.findall(r"\bM[345789]\b", seen["modes"])
+    return re.findall(r"\bM[345789]\b", state["modes"])
 
 
-def check_agreement(seen: "dict[str, Any]", is_laser: bool, where: str) -> None:
-    """Check that modes, reports and pins in `seen` agree; where: for the message."""
-    on, pwm, flood, mist = seen["pins"]
-    modes = _tool(seen)
+def check_agreement(state: "dict[str, Any]", is_laser: bool, where: str) -> None:
+    """Check that modes, reports and pins in `state` agree; where: for the message."""
+    on, pwm, flood, mist = state["pins"]
+    modes = _tool(state)
     assert (flood, mist) == ("M8" in modes, "M7" in modes), f"coolant: {where}"
-    assert on == (pwm > 0) == (seen["reported speed"] != "0"), f"FS: {where}"
+    assert on == (pwm > 0) == (state["reported speed"] != "0"), f"FS: {where}"
     if not is_laser:
-        assert on == ("M5" not in modes and not seen["modes"].endswith("S0")), f"spindle: {where}"
-        assert seen["direction"] in (None, "M4" in modes), f"direction: {where}"
-    elif seen["run"] == st.HOLD:
+        assert on == ("M5" not in modes and not state["modes"].endswith("S0")), f"spindle: {where}"
+        assert state["direction"] in (None, "M4" in modes), f"direction: {where}"
+    elif state["run"] == st.HOLD:
         assert not on, f"the laser burns: {where}"
 
 
-def check(name: str, command: str, hold_ms: float, held: str = "") -> None:
+def check_with_hold(name: str, command: str, hold_ms: float, held: str = "") -> None:
     """Run motion `name` and the command with a hold, and compare with the trial without one."""
     where = f"{name}, {command!r}, hold after {hold_ms:.1f} ms"
     trial = Trial(MOTIONS[name], command, hold_ms, held).run()
-    wanted, is_laser = without_hold(name, command), 32 in MOTIONS[name].settings
+    without, is_laser = without_hold(name, command), 32 in MOTIONS[name].settings
     in_hold, at_last = trial.in_hold, trial.at_last
     if in_hold["run"] == st.HOLD:
         check_agreement(in_hold, is_laser, f"held: {where}")
         if in_hold["steps"] != without_hold(name, "").at_last["steps"]:  # it was still to move
             assert in_hold["stored"] == trial.before["stored"], f"stored in the hold: {where}"
             assert _tool(in_hold) == _tool(trial.before), f"done in the hold: {where}"
-    for seen in (in_hold, at_last):
+    for state in (in_hold, at_last):
         if command not in _NEW_PLACES and name != "backlash":  # no report includes these
-            assert seen["reported steps"] == seen["steps"], f"place: {where}"
+            assert state["reported steps"] == state["steps"], f"place: {where}"
     check_agreement(at_last, is_laser, where)
     for item in at_last:
         if name != "jog" or "steps" not in item:  # a hold cancels a jog
-            assert at_last[item] == wanted.at_last[item], f"{item} at last: {where}"
+            assert at_last[item] == without.at_last[item], f"{item} at last: {where}"
 
 
-def instants(name: str, chance: random.Random, count: int) -> "list[float]":
+def hold_times_ms(name: str, rng: random.Random, count: int) -> "list[float]":
     """Return times of `!` in ms after the lines are sent: one in the last 200 ms, the rest in the
     last, risky part of it. With UGRBL_TORTURE: every ms of the last 200."""
     unheld = without_hold(name, "")
     idle_ms = unheld.moved_ms + _AFTER_MS
     before_end_ms: Sequence[float] = range(_LAST_MS)
     if not _EVERY:
-        before_end_ms = [chance.random() * span for span in [_LAST_MS, *[_RISKY_MS] * (count - 1)]]
+        before_end_ms = [rng.random() * span for span in [_LAST_MS, *[_RISKY_MS] * (count - 1)]]
     return [max(unheld.begun_ms + 1, idle_ms - ms) for ms in before_end_ms]
 
 
 @pytest.mark.sampled(8)
 @pytest.mark.parametrize("name", MOTIONS)
 def test_hold_before_a_waiting_command_changes_nothing(name: str) -> None:
-    chance = random.Random(name)
+    rng = random.Random(name)
     first = list(MOTIONS).index(name) * _COMMANDS
     # each motion its own share of the commands
     some_commands = [COMMANDS[(first + i) % len(COMMANDS)] for i in range(_COMMANDS)]
     for command in COMMANDS if _EVERY else some_commands:
-        for hold_ms in instants(name, chance, 1):
-            check(name, command, hold_ms)
+        for hold_ms in hold_times_ms(name, rng, 1):
+            check_with_hold(name, command, hold_ms)
 
 
 @pytest.mark.parametrize(("name", "command"), KNOWN)
 def test_hold_in_last_segments_lets_command_wait(name: str, command: str) -> None:
     """The cases that failed first, at four instants each."""
-    for hold_ms in instants(name, random.Random(command), 4):
-        check(name, command, hold_ms)
+    for hold_ms in hold_times_ms(name, random.Random(command), 4):
+        check_with_hold(name, command, hold_ms)
 
 
 @pytest.mark.parametrize("command", ["M5", "M2", "M4S200", "S100"])
 def test_spindle_stopped_in_hold_obeys_waiting_command(command: str) -> None:
     """0x9e, sent during the hold, stops the spindle until `~`; then the command is executed."""
-    for hold_ms in instants("speed in motion", random.Random(command), 3):
-        check("speed in motion", command, hold_ms, held="\x9e")
+    for hold_ms in hold_times_ms("speed in motion", random.Random(command), 3):
+        check_with_hold("speed in motion", command, hold_ms, held="\x9e")
 
 
 @pytest.mark.parametrize("command", ["M3S700", "$1=50", "G10L2P1X1", "$H", "G4P1"])

@@ -37,7 +37,7 @@ REAL = [name for name in boards() if hasattr(load_board(name), "DIR")]
 PICO = About(0x1306, "1.28.0", "Raspberry Pi Pico with RP2040")
 # The endings that deploy_device.py looks for.
 _LOOKED_AT = ("py", LIST, *page_files.names())
-_OTHER = b"M\x06\x00\x1f"  # start of a compiled file for any processor
+_MPY_START = b"M\x06\x00\x1f"  # start of a compiled file for any processor
 SETTINGS = {
     "saved/settings.txt": b"$0=10",
     "saved/settings.old": b"$0=5",
@@ -58,14 +58,14 @@ def made() -> build.Build:
 
 
 class FakeBoard:
-    """A Device whose files are a dict. room: its capacity in bytes. It logs every action."""
+    """A Device whose files are a dict. It logs every action."""
 
-    def __init__(self, about: About = PICO, room: int = 1_000_000) -> None:
+    def __init__(self, about: About = PICO, capacity_bytes: int = 1_000_000) -> None:
         self.disk: dict[str, bytes] = dict(SETTINGS)
         self.log: list[str] = []
         self.running = Running("Grbl 1.1h ['$' for help]", "1.1h.20261121:", 60_000)
         self._about = about
-        self._room = room
+        self._capacity_bytes = capacity_bytes
 
     def enter(self) -> None:
         self.log.append("enter")
@@ -88,7 +88,7 @@ class FakeBoard:
     def write(self, path: str, content: bytes, progress: Callable[[int], None]) -> None:
         self.disk[path] = content
         self.log.append(f"write {path}")
-        if sum(map(len, self.disk.values())) > self._room:
+        if sum(map(len, self.disk.values())) > self._capacity_bytes:
             raise OSError(errno.ENOSPC, path)
         progress(len(content))
 
@@ -133,9 +133,9 @@ def put(board: FakeBoard, made: build.Build, **options: Any) -> Any:
     return deploy(board, made, Silent(), **options)
 
 
-def changed(made: build.Build, *paths: str) -> build.Build:
+def with_changed_files(made: build.Build, *paths: str) -> build.Build:
     """Return the same build with these files changed or added."""
-    changed_files = {path: _OTHER + path.encode() for path in paths}
+    changed_files = {path: _MPY_START + path.encode() for path in paths}
     return build.Build(made.arch, {**made.files, **changed_files})
 
 
@@ -165,9 +165,9 @@ def test_board_gets_every_module_that_its_modules_import(
 def needed(**words: "str | bool") -> set[str]:
     """Return the sources that a Pico needs whose board file has these options."""
     board = load_board("rpi_pico")
-    made = type(board)("made")
-    vars(made).update({**vars(board), "CUSTOM": "", **words})
-    return {f"{name.replace('.', '/')}.py" for name in build.modules_of(made)}
+    module = type(board)("made")
+    vars(module).update({**vars(board), "CUSTOM": "", **words})
+    return {f"{name.replace('.', '/')}.py" for name in build.modules_of(module)}
 
 
 def test_board_gets_only_modules_that_it_can_use() -> None:
@@ -386,9 +386,9 @@ def test_up_to_date_board_is_only_started(made: build.Build) -> None:
 def test_only_changed_files_are_copied_and_main_is_removed_meanwhile(made: build.Build) -> None:
     board = FakeBoard()
     put(board, made)
-    result = put(board, changed(made, "language/words.mpy"))
-    # changed() writes _OTHER and the path, which has 18 characters.
-    assert result.copied == ["language/words.mpy"] and result.bytes == len(_OTHER) + 18
+    result = put(board, with_changed_files(made, "language/words.mpy"))
+    # with_changed_files() writes _MPY_START and the path, which has 18 characters.
+    assert result.copied == ["language/words.mpy"] and result.bytes == len(_MPY_START) + 18
     assert board.log == [
         *("enter", "remove main.py", "folder language", "write language/words.mpy"),
         *(f"write {LIST}", "write main.py", "restart"),
@@ -401,7 +401,7 @@ def test_settings_and_user_files_stay(made: build.Build) -> None:
     user_files = {"lib/mine.py": b"1", "my_tool.py": b"2", "boot.py": b"3"}
     board.disk.update(user_files)
     put(board, made)
-    put(board, changed(made, "language/words.mpy"))
+    put(board, with_changed_files(made, "language/words.mpy"))
     assert {**SETTINGS, **user_files}.items() <= board.disk.items()
 
 
@@ -433,7 +433,7 @@ def test_kernels_of_another_board_are_removed_without_a_list(made: build.Build) 
 
 def test_files_of_another_board_are_removed(made: build.Build) -> None:
     board = FakeBoard()
-    put(board, changed(made, "esp_chip/rmt.mpy", "extras/tools/punch.mpy"))
+    put(board, with_changed_files(made, "esp_chip/rmt.mpy", "extras/tools/punch.mpy"))
     assert put(board, made).removed == ["esp_chip/rmt.mpy", "extras/tools/punch.mpy"]
 
 
@@ -441,7 +441,7 @@ def test_module_of_older_firmware_is_removed_unless_it_was_changed(made: build.B
     """Both were deployed before, and are not in the new build; the content of one is not ours
     any more."""
     board = FakeBoard()
-    put(board, changed(made, "once.mpy", "twice.mpy"))
+    put(board, with_changed_files(made, "once.mpy", "twice.mpy"))
     board.disk["twice.mpy"] = b"mine now"
     assert put(board, made).removed == ["once.mpy"]
     assert board.disk["twice.mpy"] == b"mine now"
@@ -540,7 +540,7 @@ def test_deployed_board_file_is_replaced_by_another(
 ) -> None:
     board = FakeBoard()
     put(board, made)
-    assert put(board, changed(made, "board.py")).copied == ["board.py"]
+    assert put(board, with_changed_files(made, "board.py")).copied == ["board.py"]
 
 
 # Failures
@@ -587,7 +587,7 @@ def test_old_micropython_is_refused_before_anything_is_copied(
 
 def test_full_board_is_reported_and_not_started(made: build.Build) -> None:
     """The flash has space for half of the build."""
-    board = FakeBoard(room=made.bytes // 2)
+    board = FakeBoard(capacity_bytes=made.bytes // 2)
     with pytest.raises(DeployError, match=r"flash is full, at \w+") as refused:
         put(board, made)
     assert "remove what you do not need" in refused.value.todo
@@ -596,10 +596,10 @@ def test_full_board_is_reported_and_not_started(made: build.Build) -> None:
 
 def test_incomplete_deployment_is_completed(made: build.Build) -> None:
     """The first one ends because flash is full; then there is space."""
-    board = FakeBoard(room=made.bytes // 2)
+    board = FakeBoard(capacity_bytes=made.bytes // 2)
     with pytest.raises(DeployError):
         put(board, made)
-    board._room = 1_000_000
+    board._capacity_bytes = 1_000_000
     put(board, made)
     assert {path: board.disk[path] for path in made.files} == made.files
 
@@ -678,7 +678,9 @@ def test_help_has_examples(command: str) -> None:
 
 
 @pytest.fixture
-def talk(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Callable[..., str]]:
+def deploy_to_port(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> Iterator[Callable[..., str]]:
     """Return a function that deploys to a port which answers bytes by a table, and returns the
     output.
 
@@ -715,35 +717,39 @@ def talk(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Callable[.
     os.close(slave)  # ends the thread
 
 
-def test_moving_machine_is_not_disturbed(talk: Callable[..., str]) -> None:
-    said = talk({b"?": b"<Run|MPos:1.000,0.000,0.000|FS:100,0>\r\n"})
-    assert "is in Run, and is not interrupted" in said
+def test_moving_machine_is_not_disturbed(deploy_to_port: Callable[..., str]) -> None:
+    output = deploy_to_port({b"?": b"<Run|MPos:1.000,0.000,0.000|FS:100,0>\r\n"})
+    assert "is in Run, and is not interrupted" in output
 
 
-def test_held_machine_is_reported_with_the_remedy(talk: Callable[..., str]) -> None:
-    said = talk({b"?": b"<Hold:0|MPos:1.000,0.000,0.000|FS:0,0>\r\n"})
-    assert "is in Hold" in said and "resume (~) or reset (Ctrl-X) it, then deploy again" in said
+def test_held_machine_is_reported_with_the_remedy(deploy_to_port: Callable[..., str]) -> None:
+    output = deploy_to_port({b"?": b"<Hold:0|MPos:1.000,0.000,0.000|FS:0,0>\r\n"})
+    assert "is in Hold" in output
+    assert "resume (~) or reset (Ctrl-X) it, then deploy again" in output
 
 
 _IDLE: "dict[bytes, bytes | None]" = {b"?": b"<Idle|MPos:1.000,0.000,0.000|FS:0,0>\r\n"}
 
 
-def test_simulator_is_reported(talk: Callable[..., str]) -> None:
-    assert "the simulator answers on" in talk(_IDLE)
+def test_simulator_is_reported(deploy_to_port: Callable[..., str]) -> None:
+    assert "the simulator answers on" in deploy_to_port(_IDLE)
 
 
-def test_other_grbl_is_reported(talk: Callable[..., str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_other_grbl_is_reported(
+    deploy_to_port: Callable[..., str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("ugrbl.device.deploy_device.is_simulator", lambda port: False)
-    assert "does not open MicroPython's prompt -> is it ugrbl?" in talk(_IDLE)  # it ignores Ctrl-C
+    output = deploy_to_port(_IDLE)  # it ignores Ctrl-C
+    assert "does not open MicroPython's prompt -> is it ugrbl?" in output
 
 
-def test_silent_port_is_reported(talk: Callable[..., str]) -> None:
-    said = talk({})
-    assert "no MicroPython answers on" in said and "hold BOOTSEL" in said
+def test_silent_port_is_reported(deploy_to_port: Callable[..., str]) -> None:
+    output = deploy_to_port({})
+    assert "no MicroPython answers on" in output and "hold BOOTSEL" in output
 
 
-def test_unplugged_cable_is_reported(talk: Callable[..., str]) -> None:
-    assert "the connection broke" in talk({b"?": None})
+def test_unplugged_cable_is_reported(deploy_to_port: Callable[..., str]) -> None:
+    assert "the connection broke" in deploy_to_port({b"?": None})
 
 
 # package.json

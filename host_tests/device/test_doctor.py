@@ -46,7 +46,7 @@ GOOD: dict[int, float] = {
 }
 
 
-def examine(port: object, *words: str) -> Any:
+def run_doctor(port: object, *words: str) -> Any:
     """Run the doctor; return exit code, findings by subject, and the verdict."""
     command = ["doctor", "--port", str(port), "--json", "-", *words]
     done = CliRunner().invoke(app, command)
@@ -70,21 +70,21 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
 
 def test_machine_with_factory_settings_can_move_and_needs_settings(bench: Bench) -> None:
     """--move: move each axis a little; --pins 0: do not wait for switches to be pressed."""
-    code, found, verdict = examine(bench.port, "--move", "--pins", "0")
+    code, findings, verdict = run_doctor(bench.port, "--move", "--pins", "0")
     assert code == 0
-    assert found["port"][0]["verdict"] == OK
-    assert found["firmware"][0]["text"].startswith("Grbl 1.1h")
-    assert found["state"][0]["text"] == "Idle"
-    assert "factory settings" in found["settings"][0]["text"]
-    assert [found[f"move {letter}"][0]["verdict"] for letter in "XYZ"] == [OK] * 3
-    assert "$3" in found["move X"][0]["todo"]
+    assert findings["port"][0]["verdict"] == OK
+    assert findings["firmware"][0]["text"].startswith("Grbl 1.1h")
+    assert findings["state"][0]["text"] == "Idle"
+    assert "factory settings" in findings["settings"][0]["text"]
+    assert [findings[f"move {letter}"][0]["verdict"] for letter in "XYZ"] == [OK] * 3
+    assert "$3" in findings["move X"][0]["todo"]
     assert "worth a look" in verdict
     assert bench.stop() == [0, 0, 0]  # there and back
 
 
 def test_nothing_moves_without_consent(bench: Bench) -> None:
-    _, found, _ = examine(bench.port)
-    assert not any(name.startswith("move") for name in found)
+    _, findings, _ = run_doctor(bench.port)
+    assert not any(name.startswith("move") for name in findings)
     assert b"$J" not in bench.wire(">")
 
 
@@ -102,10 +102,10 @@ def test_pressed_switches_are_seen(bench: Bench) -> None:
 
     presser = threading.Thread(target=press)
     presser.start()
-    code, found, _ = examine(bench.port, "--pins", "5", "--no-move")
+    code, findings, _ = run_doctor(bench.port, "--pins", "5", "--no-move")
     presser.join()
     assert code == 0
-    assert found["switches"][0]["text"] == "seen: limit switch X (1×), probe (1×)"
+    assert findings["switches"][0]["text"] == "seen: limit switch X (1×), probe (1×)"
 
 
 def test_input_active_while_idle_is_named_with_its_setting(tmp_path: Path) -> None:
@@ -114,21 +114,21 @@ def test_input_active_while_idle_is_named_with_its_setting(tmp_path: Path) -> No
     bench.push("limit_y")
     bench.push("probe")
     time.sleep(0.3)  # s: the simulator has read both
-    code, found, _ = examine(bench.port, "--no-move", "--pins", "0")
+    code, findings, _ = run_doctor(bench.port, "--no-move", "--pins", "0")
     bench.kill()
     assert code == 1
-    assert found["limits"][0]["text"] == "limit inputs active at rest: Y"
-    assert "$5=1" in found["limits"][0]["todo"] and "$6=1" in found["probe"][0]["todo"]
+    assert findings["limits"][0]["text"] == "limit inputs active at rest: Y"
+    assert "$5=1" in findings["limits"][0]["todo"] and "$6=1" in findings["probe"][0]["todo"]
 
 
 def test_locked_machine_is_reported_with_the_remedy_and_does_not_move(tmp_path: Path) -> None:
     """With stored settings but no stored offsets the simulator starts in an alarm."""
     bench = Bench(tmp_path, "--speed", "max", settings=SETTINGS)
-    code, found, _ = examine(bench.port, "--move", "--pins", "0")
+    code, findings, _ = run_doctor(bench.port, "--move", "--pins", "0")
     bench.kill()
     assert code == 0
-    assert found["state"][0]["verdict"] == NOTE and "$H" in found["state"][0]["todo"]
-    assert found["move X"][0]["text"] == "not tried: the machine is in Alarm"
+    assert findings["state"][0]["verdict"] == NOTE and "$H" in findings["state"][0]["todo"]
+    assert findings["move X"][0]["text"] == "not tried: the machine is in Alarm"
 
 
 def test_move_into_a_switch_is_reported_with_its_alarm(bench: Bench) -> None:
@@ -139,16 +139,16 @@ def test_move_into_a_switch_is_reported_with_its_alarm(bench: Bench) -> None:
         assert connection.ask(line)[-1] == "ok"
     connection.wait_for(lambda line: f"<Idle|MPos:{near_mm:.3f}" in line, 20)
     connection.close()
-    code, found, _ = examine(bench.port, "--move", "--pins", "0")
+    code, findings, _ = run_doctor(bench.port, "--move", "--pins", "0")
     assert code == 1
-    assert found["move X"][0]["text"].startswith("ALARM:1: ")
-    assert "move Y" not in found
+    assert findings["move X"][0]["text"].startswith("ALARM:1: ")
+    assert "move Y" not in findings
 
 
 # At ports with other devices
 
 
-class Impostor(threading.Thread):
+class OtherDevice(threading.Thread):
     """A device that is not our firmware.
 
     answers: what it sends if these bytes are received; always: what it sends every 20 ms."""
@@ -161,11 +161,11 @@ class Impostor(threading.Thread):
         self.port = os.ttyname(self._slave)
         self._answers = answers
         self._always = always
-        self.over = threading.Event()
+        self.stopped = threading.Event()
 
     def run(self) -> None:
         """Every 20 ms: read, send the answers to what was read, and what is always sent."""
-        while not self.over.wait(0.02):
+        while not self.stopped.wait(0.02):
             try:
                 data = os.read(self._master, 4096)
             except BlockingIOError:
@@ -218,14 +218,14 @@ def test_other_device_is_reported(
     the doctor's `import` line (chip, name, version, free bytes, whether main.py has ended). The
     finding `what` contains the text."""
     monkeypatch.setattr(connection, "_START_S", 0.5)  # s to wait for a Grbl
-    impostor = Impostor(answers, always)
-    impostor.start()
-    code, found, _ = examine(impostor.port)
-    impostor.over.set()
-    impostor.join()
+    device = OtherDevice(answers, always)
+    device.start()
+    code, findings, _ = run_doctor(device.port)
+    device.stopped.set()
+    device.join()
     assert code == 1
-    assert text in found[what][0]["text"]
-    assert found["firmware"][0]["todo"]
+    assert text in findings[what][0]["text"]
+    assert findings["firmware"][0]["todo"]
 
 
 def test_board_at_its_prompt_is_reported_with_its_free_memory(
@@ -234,13 +234,13 @@ def test_board_at_its_prompt_is_reported_with_its_free_memory(
     """The answer has chip, name, version, free bytes, and whether main.py has ended."""
     monkeypatch.setattr(connection, "_START_S", 0.5)
     answer = b"\r\n|rp2|Raspberry Pi Pico|1.28.0|183000|True|\r\n>>> "
-    impostor = Impostor({b"\x03": b"\r\n>>> ", b"import": answer})
-    impostor.start()
-    _, found, _ = examine(impostor.port)
-    impostor.over.set()
-    impostor.join()
-    assert found["memory"][0]["text"] == "178 kB are free"  # 183000 / 1024
-    assert "main.py has ended" in found["firmware"][0]["todo"]
+    device = OtherDevice({b"\x03": b"\r\n>>> ", b"import": answer})
+    device.start()
+    _, findings, _ = run_doctor(device.port)
+    device.stopped.set()
+    device.join()
+    assert findings["memory"][0]["text"] == "178 kB are free"  # 183000 / 1024
+    assert "main.py has ended" in findings["firmware"][0]["todo"]
 
 
 def test_slow_ctrl_x_is_reported() -> None:
@@ -283,7 +283,7 @@ def test_underruns_of_programs_are_reported_with_the_next_step(
     assert checkup.drains(["[VER:1.1h.20261121:]", "ok"]) == []
 
 
-class Asked:
+class RecordingConnection:
     """A connection that records its requests and gives these replies."""
 
     def __init__(self, *replies: str) -> None:
@@ -298,15 +298,15 @@ class Asked:
 def test_only_our_firmware_is_asked_for_its_stack() -> None:
     """$I+ is our own request; another Grbl would refuse it."""
     replies = ["[MSG:Stack: 4704 of 8192 bytes used]", "ok"]
-    ours, other = Asked(*replies), Asked("error:3")
+    ours, other = RecordingConnection(*replies), RecordingConnection("error:3")
     assert doctor._health(cast("Any", ours), OURS) == replies and ours.lines == ["$I+"]
     assert doctor._health(cast("Any", other), GRBL) == [] and other.lines == []
 
 
 def test_stack_figure_of_a_board_gets_a_row(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     """The simulator has no such figure; then $I+ is answered as by a board."""
-    code, found, _ = examine(bench.port, "--no-move", "--pins", "0")
-    assert code == 0 and "C stack" not in found
+    code, findings, _ = run_doctor(bench.port, "--no-move", "--pins", "0")
+    assert code == 0 and "C stack" not in findings
     ask = Connection.ask
 
     def with_stack(self: Connection, line: str) -> list[str]:
@@ -314,8 +314,8 @@ def test_stack_figure_of_a_board_gets_a_row(bench: Bench, monkeypatch: pytest.Mo
         return replies if line == "$I+" else ask(self, line)
 
     monkeypatch.setattr(Connection, "ask", with_stack)
-    code, found, verdict = examine(bench.port, "--no-move", "--pins", "0")
-    assert code == 0 and found["C stack"][0]["verdict"] == NOTE and "worth a look" in verdict
+    code, findings, verdict = run_doctor(bench.port, "--no-move", "--pins", "0")
+    assert code == 0 and findings["C stack"][0]["verdict"] == NOTE and "worth a look" in verdict
 
 
 # A fault of the firmware
@@ -332,27 +332,27 @@ _REPORT = b"<Alarm|MPos:0.000,0.000,0.000|FS:0,0>\r\n"
 
 def test_board_in_a_fault_alarm_is_asked_for_the_fault(fault: str) -> None:
     """It answers only reports and "$"."""
-    impostor = Impostor({b"?": _REPORT, b"$": fault.encode() + b"\r\n"})
-    impostor.start()
-    code, found, _ = examine(impostor.port)
-    impostor.over.set()
-    assert code == 1 and "firmware" not in found  # it answers nothing else
-    assert 'list index File "talk.report", line 31, in status' in found["fault"][0]["text"]
-    assert "Ctrl-X" in found["fault"][0]["todo"]
+    device = OtherDevice({b"?": _REPORT, b"$": fault.encode() + b"\r\n"})
+    device.start()
+    code, findings, _ = run_doctor(device.port)
+    device.stopped.set()
+    assert code == 1 and "firmware" not in findings  # it answers nothing else
+    assert 'list index File "talk.report", line 31, in status' in findings["fault"][0]["text"]
+    assert "Ctrl-X" in findings["fault"][0]["todo"]
 
 
 def test_board_that_cannot_start_reports_the_cause_by_name(fault: str) -> None:
-    impostor = Impostor({}, fault.encode() + b"\r\n")
-    (found,) = judged(impostor)
-    assert found.what == "fault" and "talk.report" in found.text
+    device = OtherDevice({}, fault.encode() + b"\r\n")
+    (finding,) = findings_about(device)
+    assert finding.what == "fault" and "talk.report" in finding.text
 
 
-def judged(impostor: Impostor) -> "list[Finding]":
+def findings_about(device: OtherDevice) -> "list[Finding]":
     """Return the findings about a device that is not a Grbl."""
-    impostor.start()
-    found = board_under_test.stranger(impostor.port)
-    impostor.over.set()
-    return found
+    device.start()
+    findings = board_under_test.stranger(device.port)
+    device.stopped.set()
+    return findings
 
 
 def test_last_fault_is_reported_after_the_machine_works_again(
@@ -366,9 +366,9 @@ def test_last_fault_is_reported_after_the_machine_works_again(
         return replies if line == "$I+" else ask(self, line)
 
     monkeypatch.setattr(Connection, "ask", with_fault)
-    code, found, _ = examine(bench.port, "--no-move", "--pins", "0")
-    assert code == 1 and found["state"][0]["text"] == "Idle"
-    assert found["fault"][0]["text"].startswith("[MSG:Last fault: IndexError: list index")
+    code, findings, _ = run_doctor(bench.port, "--no-move", "--pins", "0")
+    assert code == 1 and findings["state"][0]["text"] == "Idle"
+    assert findings["fault"][0]["text"].startswith("[MSG:Last fault: IndexError: list index")
 
 
 def test_alarm_without_a_fault_is_not_reported_as_one(tmp_path: Path) -> None:
@@ -380,9 +380,9 @@ def test_alarm_without_a_fault_is_not_reported_as_one(tmp_path: Path) -> None:
 
 
 def test_missing_port_is_named() -> None:
-    code, found, verdict = examine("/dev/nowhere")
+    code, findings, verdict = run_doctor("/dev/nowhere")
     assert code == 1 and verdict == "1 wrong"
-    assert "/dev/nowhere" in found["port"][0]["text"] and "cable" in found["port"][0]["text"]
+    assert "/dev/nowhere" in findings["port"][0]["text"] and "cable" in findings["port"][0]["text"]
 
 
 def test_only_port_is_chosen_and_none_of_several(
@@ -409,13 +409,13 @@ def test_only_port_is_chosen_and_none_of_several(
 # The judgement
 
 
-def wrong(found: list[Finding]) -> list[tuple[str, str]]:
+def not_ok(findings: list[Finding]) -> list[tuple[str, str]]:
     """Return subject and verdict of all findings that are not OK."""
-    return [(finding.what, finding.verdict) for finding in found if finding.verdict != OK]
+    return [(finding.what, finding.verdict) for finding in findings if finding.verdict != OK]
 
 
 def test_good_settings_have_no_finding() -> None:
-    assert wrong(settings_check.settings(GOOD, OURS)) == []
+    assert not_ok(settings_check.settings(GOOD, OURS)) == []
 
 
 @pytest.mark.parametrize(
@@ -443,16 +443,18 @@ def test_bad_settings_are_reported_with_the_remedy(
     values: dict[int, float], what: str, verdict: str, says: str
 ) -> None:
     """values: settings that differ from the good ones."""
-    found = settings_check.settings({**GOOD, **values}, OURS)
-    matching = [finding for finding in found if (finding.what, finding.verdict) == (what, verdict)]
+    findings = settings_check.settings({**GOOD, **values}, OURS)
+    matching = [
+        finding for finding in findings if (finding.what, finding.verdict) == (what, verdict)
+    ]
     assert matching and all(finding.todo for finding in matching)
     assert says in " ".join(finding.text + finding.todo for finding in matching)
 
 
 def test_real_grbl_has_a_lower_step_limit() -> None:
     fast = {**GOOD, 110: 30000.0}  # mm/min * 80 steps/mm: 40 kHz
-    assert ("step rate", BAD) in wrong(settings_check.settings(fast, GRBL))
-    assert ("step rate", BAD) not in wrong(settings_check.settings(fast, OURS))
+    assert ("step rate", BAD) in not_ok(settings_check.settings(fast, GRBL))
+    assert ("step rate", BAD) not in not_ok(settings_check.settings(fast, OURS))
 
 
 @pytest.mark.parametrize(
@@ -500,8 +502,8 @@ def test_versions_are_judged(found: Firmware, verdict: str) -> None:
 
 def test_switch_needed_for_homing_but_never_seen_is_reported() -> None:
     """Changes seen at each switch of a machine with 3 axes."""
-    found = checkup.pins_pressed({"X": 1, "Y": 12}, GOOD, 3)
-    assert [finding.text for finding in found[1:]] == [
+    findings = checkup.pins_pressed({"X": 1, "Y": 12}, GOOD, 3)
+    assert [finding.text for finding in findings[1:]] == [
         "never seen, though homing ($22) needs them: Z",
         "Y changed very often",
     ]

@@ -31,7 +31,7 @@ _LIMIT = "limit: time to the last step edge"
 _LIMIT_IN_COLLECTION = "limit, during a collection: time to the last step edge"
 
 
-def train(hz: int, ticks: int, count: int, begin: int = 100) -> "list[int]":
+def pulse_edges(hz: int, ticks: int, count: int, begin: int = 100) -> "list[int]":
     """Return the edges of `count` pulses.
 
     hz: pulses per second; ticks: length of a pulse; begin: tick of the first edge."""
@@ -40,7 +40,7 @@ def train(hz: int, ticks: int, count: int, begin: int = 100) -> "list[int]":
 
 
 STILL = [0]  # edges of a pin that stays low
-PULSES = {"hz": 50_000, "us": 10, "steps": [train(50_000, 125, 9)] * 3, "dirs": [STILL] * 3}
+PULSES = {"hz": 50_000, "us": 10, "steps": [pulse_edges(50_000, 125, 9)] * 3, "dirs": [STILL] * 3}
 # DIR changes at 100 and 400: 30 ticks after a pulse, 70 before the next.
 TURNS = {
     "hold_us": 2,
@@ -109,15 +109,15 @@ HANG = {
 }
 
 
-def lines(facts: "Iterable[tuple[str, Any]]") -> "list[str]":
+def fact_lines(facts: "Iterable[tuple[str, Any]]") -> "list[str]":
     """Return the lines by which the board reports these facts."""
     return [f"= {what} {json.dumps(figures)}" for what, figures in facts]
 
 
-class Fake:
+class FakeBoard:
     """A Board that prints facts. changes: other values for its attributes.
 
-    facts: printed by the checks; hang: figures of the hang on purpose; wrong: the exception that
+    facts: printed by the checks; hang: figures of the hang on purpose; exception: that which
     ends the checks; comes_back: the watchdog restarts it; started: how many times the firmware was
     started afterwards."""
 
@@ -125,7 +125,7 @@ class Fake:
         self.facts = list(GOOD)
         self.hang = dict(HANG)
         self.about_it, self.wired = PICO, WIRED
-        self.wrong = ""
+        self.exception = ""
         self.comes_back = True
         self.moving = False
         self.scripts: "list[str]" = []
@@ -142,18 +142,18 @@ class Fake:
     def wiring(self) -> "Wiring | None":
         return self.wired
 
-    def run(self, script: str, heard: "Callable[[str], None]", seconds: float) -> str:
+    def run(self, script: str, on_line: "Callable[[str], None]", seconds: float) -> str:
         """Run the checks: report each line; return the exception's text."""
         self.scripts.append(script)
-        for line in ("what the prompt says", *lines(self.facts)):
-            heard(line)
-        return self.wrong
+        for line in ("what the prompt says", *fact_lines(self.facts)):
+            on_line(line)
+        return self.exception
 
-    def until_restart(self, script: str, heard: "Callable[[str], None]", seconds: float) -> bool:
+    def until_restart(self, script: str, on_line: "Callable[[str], None]", seconds: float) -> bool:
         """Hang on purpose; return whether the board answers again."""
         self.scripts.append(script)
-        for line in lines([("hang", self.hang)]):
-            heard(line)
+        for line in fact_lines([("hang", self.hang)]):
+            on_line(line)
         return self.comes_back
 
     def start(self) -> None:
@@ -169,7 +169,7 @@ def with_fact(what: str, **changes: Any) -> "list[tuple[str, Any]]":
 def selftest(monkeypatch: pytest.MonkeyPatch) -> "Callable[..., Any]":
     """Return a function that runs the command at a scripted board."""
 
-    def run(board: Fake, *words: str) -> "tuple[int, dict[str, Any], str]":
+    def run(board: FakeBoard, *words: str) -> "tuple[int, dict[str, Any], str]":
         """Run the self-test; return exit code, checks by name, and the whole output."""
         monkeypatch.setattr(selftest_cli, "_open", lambda port: board)
         command = ["selftest", "--port", "there", "--json", "-", *words]
@@ -182,7 +182,7 @@ def selftest(monkeypatch: pytest.MonkeyPatch) -> "Callable[..., Any]":
 
 def test_good_board_passes_every_check(selftest: "Callable[..., Any]") -> None:
     """The figures in the texts follow from GOOD, at 0.08 us a tick."""
-    board = Fake()
+    board = FakeBoard()
     code, rows, output = selftest(board, "--yes")
     assert {row["passed"] for row in rows.values()} == {True}, rows
     assert code == 0 and "0 failed" in output
@@ -197,20 +197,30 @@ def test_good_board_passes_every_check(selftest: "Callable[..., Any]") -> None:
     assert rows["spindle PWM, 50 %"]["text"] == "50.0 % at the pin"
 
 
-def late(ticks: int) -> "dict[str, Any]":
+def with_late_axis(ticks: int) -> "dict[str, Any]":
     """Return pulses whose second axis is late; the third does not move."""
-    return {"steps": [train(50_000, 125, 9), train(50_000, 125, 9, 100 + ticks), STILL]}
+    return {
+        "steps": [pulse_edges(50_000, 125, 9), pulse_edges(50_000, 125, 9, 100 + ticks), STILL]
+    }
 
 
 # By name: the fact that differs, its figures, and the row that must fail.
 FAULTS = {
     "a step too few": ("steps", {"counted": [19, 0, 0]}, "steps at 1 kHz, all axes"),
     "no rest": ("steps", {"rested": False}, "steps at 1 kHz, all axes"),
-    "short pulses": ("pulses", {"steps": [train(50_000, 122, 9)] * 3}, "pulse width, 50 kHz"),
-    "long pulses": ("pulses", {"steps": [train(50_000, 130, 9)] * 3}, "pulse width, 50 kHz"),
-    "another rate": ("pulses", {"steps": [train(49_000, 125, 9)] * 3}, "step period, 50 kHz"),
+    "short pulses": (
+        "pulses",
+        {"steps": [pulse_edges(50_000, 122, 9)] * 3},
+        "pulse width, 50 kHz",
+    ),
+    "long pulses": ("pulses", {"steps": [pulse_edges(50_000, 130, 9)] * 3}, "pulse width, 50 kHz"),
+    "another rate": (
+        "pulses",
+        {"steps": [pulse_edges(49_000, 125, 9)] * 3},
+        "step period, 50 kHz",
+    ),
     "no pulses": ("pulses", {"steps": [STILL] * 3}, "pulse width, 50 kHz"),
-    "an axis late": ("pulses", late(5), "skew between axes, 50 kHz"),
+    "an axis late": ("pulses", with_late_axis(5), "skew between axes, 50 kHz"),
     "an early turn": ("turns", {"dirs": [[0, 90, 400]] * 3}, "direction hold"),
     "a late turn": ("turns", {"dirs": [[0, 120, 400]] * 3}, "direction set-up"),
     "no turn": ("turns", {"dirs": [STILL] * 3}, "direction hold"),
@@ -234,7 +244,7 @@ FAULTS = {
 @pytest.mark.parametrize("fault", FAULTS)
 def test_fault_fails_its_check_and_the_command(selftest: "Callable[..., Any]", fault: str) -> None:
     what, changes, row = FAULTS[fault]
-    code, rows, output = selftest(Fake(facts=with_fact(what, **changes)), "--yes")
+    code, rows, output = selftest(FakeBoard(facts=with_fact(what, **changes)), "--yes")
     assert rows[row]["passed"] is False, rows[row]
     assert code == 1 and "FAILED" in output
 
@@ -253,12 +263,12 @@ def test_harmful_hang_fails(
 ) -> None:
     """Steps or the tool's power go on after the hang began (ms), no step was made, or the stack
     is nearly full."""
-    code, rows, _ = selftest(Fake(hang={**HANG, **changes}), "--yes")
+    code, rows, _ = selftest(FakeBoard(hang={**HANG, **changes}), "--yes")
     assert (code, rows[row]["passed"]) == (1, False)
 
 
 def test_board_that_does_not_return_fails(selftest: "Callable[..., Any]") -> None:
-    code, rows, _ = selftest(Fake(comes_back=False), "--yes")
+    code, rows, _ = selftest(FakeBoard(comes_back=False), "--yes")
     assert (code, rows["hang on purpose: watchdog"]["passed"]) == (1, False)
 
 
@@ -275,7 +285,7 @@ def test_check_that_cannot_be_shown_has_not_passed(
     selftest: "Callable[..., Any]", what: str, changes: "dict[str, Any]", row: str
 ) -> None:
     """For example a pin that the counters cannot see: neither passed nor failed."""
-    code, rows, output = selftest(Fake(facts=with_fact(what, **changes)), "--yes")
+    code, rows, output = selftest(FakeBoard(facts=with_fact(what, **changes)), "--yes")
     assert rows[row]["passed"] is None and "not shown here" in rows[row]["text"]
     assert code == 0 and "not checked" in output
 
@@ -285,18 +295,18 @@ def test_failing_program_is_reported_with_its_last_line(
 ) -> None:
     exception = "Traceback (most recent call last):\r\n  File …\r\nMemoryError: no room\r\n"
     # it ends after three facts
-    code, rows, _ = selftest(Fake(facts=GOOD[:3], wrong=exception), "--yes")
+    code, rows, _ = selftest(FakeBoard(facts=GOOD[:3], exception=exception), "--yes")
     assert code == 1
     assert rows["all checks were made"]["text"] == "MemoryError: no room"
 
 
 def test_spindle_is_unused_without_permission(selftest: "Callable[..., Any]") -> None:
     """--yes: the spindle output may be used."""
-    board = Fake()
+    board = FakeBoard()
     selftest(board)
     assert all("'pwm': False" in script for script in board.scripts)
     assert not any("M3" in script for script in board.scripts)
-    board = Fake()
+    board = FakeBoard()
     selftest(board, "--yes")
     assert all("'pwm': True" in script for script in board.scripts)
 
@@ -337,7 +347,7 @@ def test_board_that_cannot_be_tested_is_reported_and_unchanged(
     selftest: "Callable[..., Any]", why: str
 ) -> None:
     changes, words = REFUSED[why]
-    board = Fake(**changes)
+    board = FakeBoard(**changes)
     code, rows, _ = selftest(board)
     assert code == 1 and words in rows["the board"]["text"]
     # nothing was run; the firmware was started again
@@ -345,15 +355,15 @@ def test_board_that_cannot_be_tested_is_reported_and_unchanged(
 
 
 def test_moving_machine_is_not_disturbed(selftest: "Callable[..., Any]") -> None:
-    board = Fake(moving=True)
+    board = FakeBoard(moving=True)
     code, rows, _ = selftest(board)
     assert code == 1 and "is in Run" in rows["the board"]["text"]
     assert board.scripts == [] and board.started == 0  # nothing was run or stopped
 
 
 def test_ctrl_c_reports_how_to_restart_the_board(selftest: "Callable[..., Any]") -> None:
-    class Stopped(Fake):
-        def run(self, script: str, heard: "Callable[[str], None]", seconds: float) -> str:
+    class Stopped(FakeBoard):
+        def run(self, script: str, on_line: "Callable[[str], None]", seconds: float) -> str:
             raise KeyboardInterrupt
 
     code, rows, _ = selftest(Stopped(), "--yes")
@@ -363,8 +373,8 @@ def test_ctrl_c_reports_how_to_restart_the_board(selftest: "Callable[..., Any]")
 def test_broken_connection_is_reported_and_the_firmware_started(
     selftest: "Callable[..., Any]",
 ) -> None:
-    class Broken(Fake):
-        def run(self, script: str, heard: "Callable[[str], None]", seconds: float) -> str:
+    class Broken(FakeBoard):
+        def run(self, script: str, on_line: "Callable[[str], None]", seconds: float) -> str:
             raise DeployError("the connection broke", "plug it in")
 
     board = Broken()

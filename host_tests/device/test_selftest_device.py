@@ -12,7 +12,7 @@ from ugrbl.device.selftest.device import PromptBoard
 from ugrbl.device.selftest.session import Wiring
 
 
-class Wire:
+class FakeSerial:
     """A serial port that delivers these pieces one at a time, then breaks."""
 
     def __init__(self, *pieces: bytes) -> None:
@@ -33,23 +33,25 @@ class Wire:
 
 
 class Transport:
-    """The part of mpremote's transport that is used. said: what a script prints; wrong: the text
-    of its exception; wire: the serial port."""
+    """The part of mpremote's transport that is used. output: what a script prints; exception:
+    its text; wire: the serial port."""
 
-    def __init__(self, said: bytes = b"", wrong: bytes = b"", wire: "Wire | None" = None) -> None:
-        self.serial = wire or Wire()
+    def __init__(
+        self, output: bytes = b"", exception: bytes = b"", wire: "FakeSerial | None" = None
+    ) -> None:
+        self.serial = wire or FakeSerial()
         self.scripts: "list[str]" = []
         self.is_closed = False
-        self._said, self._wrong = said, wrong
+        self._output, self._exception = output, exception
 
     def exec_raw_no_follow(self, script: str) -> None:
         self.scripts.append(script)
 
     def follow(self, seconds: float, consumer: "Callable[[bytes], None]") -> "tuple[bytes, bytes]":
         """Pass on the output byte by byte; return it and the exception."""
-        for k in range(len(self._said)):
-            consumer(self._said[k : k + 1])
-        return self._said, self._wrong
+        for k in range(len(self._output)):
+            consumer(self._output[k : k + 1])
+        return self._output, self._exception
 
     def exec(self, script: str) -> bytes:
         self.scripts.append(script)
@@ -63,7 +65,7 @@ class Transport:
         self.is_closed = True
 
 
-def board(transport: Transport) -> PromptBoard:
+def board_at(transport: Transport) -> PromptBoard:
     """Return a board at that transport."""
     prompt_board = PromptBoard.__new__(PromptBoard)
     prompt_board._transport, prompt_board._port_name = transport, "there"
@@ -74,7 +76,8 @@ def test_lines_are_reported_as_they_arrive_and_the_exception_after_them() -> Non
     """\\x04 ends the output in the raw REPL; it is not part of a line."""
     reported: "list[str]" = []
     transport = Transport(b"= board {}\r\nand more\r\n\x04", b"Traceback\r\nMemoryError: \r\n")
-    assert board(transport).run("script", reported.append, 1) == "Traceback\r\nMemoryError: \r\n"
+    exception = board_at(transport).run("script", reported.append, 1)
+    assert exception == "Traceback\r\nMemoryError: \r\n"
     assert reported == ["= board {}", "and more"] and transport.scripts == ["script"]
 
 
@@ -88,12 +91,12 @@ def test_lost_board_is_reported_in_words(error: Exception, words: str) -> None:
             raise error
 
     with pytest.raises(DeployError) as raised:
-        board(Broken()).run("script", print, 1)
+        board_at(Broken()).run("script", print, 1)
     assert words in str(raised.value) and "plug it in" in raised.value.todo
     assert "Errno" not in str(raised.value)
 
 
-class Back:
+class AnsweringFirmware:
     """A connection to firmware that answers again."""
 
     def answers(self) -> bool:
@@ -111,35 +114,36 @@ def test_firmware_answers_after_the_watchdog_has_disconnected_usb(
     opened again at the third attempt."""
     opened_ports: "list[str]" = []
 
-    def open_port(port: str) -> Back:
+    def open_port(port: str) -> AnsweringFirmware:
         opened_ports.append(port)
         if len(opened_ports) < 3:
             raise SendError("not there yet")
-        return Back()
+        return AnsweringFirmware()
 
     monkeypatch.setattr(device, "Connection", open_port)
     reported: "list[str]" = []
-    transport = Transport(wire=Wire(b"= hang {", b"}\r\n= hang", b" {}\r\n"))
-    assert board(transport).until_restart("hang", reported.append, 5)
+    transport = Transport(wire=FakeSerial(b"= hang {", b"}\r\n= hang", b" {}\r\n"))
+    assert board_at(transport).until_restart("hang", reported.append, 5)
     assert reported == ["= hang {}", "= hang {}"] and opened_ports == ["there"] * 3
     assert transport.is_closed
 
 
 def test_board_that_never_hung_was_not_restarted_by_the_watchdog() -> None:
-    transport = Transport(wire=Wire(b"Traceback\r\n"))
-    assert not board(transport).until_restart("hang", print, 5)
+    transport = Transport(wire=FakeSerial(b"Traceback\r\n"))
+    assert not board_at(transport).until_restart("hang", print, 5)
 
 
 def test_board_that_does_not_return_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its port cannot be opened again in _BACK_S."""
 
-    def open_port(port: str) -> Back:
+    def open_port(port: str) -> AnsweringFirmware:
         raise SendError("not there")
 
     monkeypatch.setattr(device, "Connection", open_port)
     monkeypatch.setattr(device, "_BACK_S", 0.2)
-    assert not board(Transport(wire=Wire(b"= hang {}\r\n"))).until_restart("hang", print, 5)
+    transport = Transport(wire=FakeSerial(b"= hang {}\r\n"))
+    assert not board_at(transport).until_restart("hang", print, 5)
 
 
 def test_board_file_is_read_on_the_board() -> None:
-    assert board(Transport()).wiring() == Wiring("pio", 8, None)
+    assert board_at(Transport()).wiring() == Wiring("pio", 8, None)

@@ -35,7 +35,7 @@ _BOOT = Path(__file__).parents[1] / "support" / "esp_boot.py"
 _ASKING_US = 6  # one turn of a loop that reads the time
 
 
-def _pass(us: int) -> None:
+def _let_pass_us(us: int) -> None:
     """Let time pass, with callbacks where they can run."""
     if clock._in_callback:
         clock.work(us)
@@ -44,12 +44,12 @@ def _pass(us: int) -> None:
 
 
 def _ticks_us() -> int:
-    _pass(_ASKING_US)
+    _let_pass_us(_ASKING_US)
     return clock.us & 0x3FFFFFFF
 
 
 def _ticks_ms() -> int:
-    _pass(_ASKING_US)
+    _let_pass_us(_ASKING_US)
     return clock.us // 1000 & 0x3FFFFFFF
 
 
@@ -57,12 +57,12 @@ _TIME = SimpleNamespace(
     ticks_us=_ticks_us,
     ticks_ms=_ticks_ms,
     ticks_diff=clock.ticks_diff,
-    sleep_us=_pass,
-    sleep_ms=lambda ms: _pass(1000 * ms),
+    sleep_us=_let_pass_us,
+    sleep_ms=lambda ms: _let_pass_us(1000 * ms),
 )
 
 
-def heard(output_lines: "Iterable[str]") -> "tuple[dict[str, Row], bool]":
+def rows_of(output_lines: "Iterable[str]") -> "tuple[dict[str, Row], bool]":
     """Return the rows in these lines by name, and whether the end was received."""
     rows: dict[str, Row] = {}
     hearer = Hearer(lambda row: rows.update({row.what: row}))
@@ -104,7 +104,7 @@ class Bench:
         self._file.write_text(program.checks(self.chip, _AMOUNTS, pwm, seed))
         with redirect_stdout(StringIO()) as output:
             exec(compile(self._file.read_text(), str(self._file), "exec"), {})
-        self.rows, self.ended = heard(output.getvalue().splitlines())
+        self.rows, self.ended = rows_of(output.getvalue().splitlines())
         return self.rows
 
 
@@ -175,7 +175,7 @@ def test_all_checks_pass_under_micropython(tmp_path: Path) -> None:
     # The boot script sends nothing and waits for the welcome, then runs the program.
     (tmp_path / "talk.json").write_text(json.dumps([["", "Grbl"]]))
     output = run_micropython(_BOOT, "esp32_devkit", str(tmp_path), f"RUN = {str(program_file)!r}")
-    rows, ended = heard(output.splitlines())
+    rows, ended = rows_of(output.splitlines())
     assert ended and failed(rows.values()) == []
     assert rows["steps at the highest, all axes"].passed
 
@@ -366,29 +366,29 @@ def test_counter_turns_its_pin_into_an_input_and_counts_after_start(
     unit = esp32.PCNT(0, pin=step, mode_pin=direction, rising=1, mode_high=1, min=-9, max=9)
     base = esp_machine.mem32.first & ~0xFFF
 
-    def pulse(count: int) -> None:
+    def make_pulses(count: int) -> None:
         for level in (1, 0) * count:
             clock.work(5)
             step.value(level)
         clock.work(5)
 
     unit.start()
-    pulse(3)
+    make_pulses(3)
     assert unit.value() == 0  # the pin is an input
     # GPIO_ENABLE_W1TS: both pins are outputs again
     esp_machine.mem32[base + 0x24] = 1 << 26 | 1 << 16
-    pulse(3)
+    make_pulses(3)
     assert unit.value() == 3
     direction.value(1)
-    pulse(5)
+    make_pulses(5)
     assert unit.value(0) == -2 and unit.value() == 0  # 3 - 5; value(0) sets it to 0
     unit.stop()
-    pulse(2)
+    make_pulses(2)
     assert unit.value() == 0
     unit.start()
-    pulse(8)
+    make_pulses(8)
     with pytest.raises(OverflowError):
-        pulse(1)
+        make_pulses(1)
         unit.value()
 
 
@@ -416,7 +416,7 @@ def test_hang_is_ended_by_the_watchdog_long_after_the_last_step(
     # The boot script sends nothing and waits for the welcome, then runs the program.
     (tmp_path / "talk.json").write_text(json.dumps([["", "Grbl"]]))
     output = run(_BOOT, "esp32_devkit", str(tmp_path), f"RUN = {str(program_file)!r}")
-    rows, _ = heard(output.splitlines())
+    rows, _ = rows_of(output.splitlines())
     assert list(rows) == ["hang on purpose: steps", "hang on purpose: spindle"]
     assert failed(rows.values()) == []
     assert "the watchdog starts the chip anew" in output

@@ -56,11 +56,11 @@ class FakeGrbl(threading.Thread):
         self.most_waiting = 0
         self.most_bytes = 0
         self._waiting = b""
-        self._over = threading.Event()
+        self._stopped = threading.Event()
 
     def run(self) -> None:
         """Every 2 ms: receive, and execute one waiting line unless the machine is held."""
-        while not self._over.wait(_ANSWER_S):
+        while not self._stopped.wait(_ANSWER_S):
             self._receive()
             self.most_waiting = max(self.most_waiting, self._waiting.count(b"\n"))
             self.most_bytes = max(self.most_bytes, len(self._waiting))
@@ -70,7 +70,7 @@ class FakeGrbl(threading.Thread):
                 self._answer(line)
 
     def stop(self) -> None:
-        self._over.set()
+        self._stopped.set()
         self.join()
         os.close(self._master)
         os.close(self._slave)
@@ -187,7 +187,7 @@ def program(count: int) -> list[bytes]:
     return [b"G1 X%d.125 Y%d.250 F1200" % (n, n) for n in range(count)]
 
 
-def listing(*lines: bytes) -> Ready:
+def ready_lines(*lines: bytes) -> Ready:
     return Ready(lines)
 
 
@@ -255,7 +255,7 @@ def test_refused_line_is_named_with_meaning_holds_and_asks(
 ) -> None:
     """The stand-in refuses G64 with error:20; the user chooses to resume."""
     view.answers = [Choice.RESUME]
-    report = Stream(connection, listing(b"G21", b"G64 P0.1", b"G0 X1"), view).run()
+    report = Stream(connection, ready_lines(b"G21", b"G64 P0.1", b"G0 X1"), view).run()
     assert report.errors == [(2, "error:20")] and report.answered == 3
     assert view.messages == [f"line 2: G64 P0.1: error:20: {meaning('error:20')}"]
     assert view.questions == ["line 2 was refused"]
@@ -277,7 +277,7 @@ def test_program_stops_after_a_refused_line_unless_the_user_continues(
     grbl: FakeGrbl, connection: Connection, view: Watcher
 ) -> None:
     view.answers = [Choice.ABORT]
-    report = Stream(connection, listing(b"G64", *program(50)), view).run()
+    report = Stream(connection, ready_lines(b"G64", *program(50)), view).run()
     assert report.stopped == "line 1 was refused"
     assert grbl.realtime == FEED_HOLD + RESET
     assert len(grbl.lines) < 10  # those sent before the answer arrived
@@ -285,19 +285,19 @@ def test_program_stops_after_a_refused_line_unless_the_user_continues(
 
 def test_keep_going_asks_only_once(grbl: FakeGrbl, connection: Connection, view: Watcher) -> None:
     view.answers = [Choice.KEEP_GOING]
-    report = Stream(connection, listing(b"G64", b"G64", b"G64"), view).run()
+    report = Stream(connection, ready_lines(b"G64", b"G64", b"G64"), view).run()
     assert len(view.questions) == 1 and len(report.errors) == 3 and not report.stopped
 
 
 def test_refused_line_does_not_hold_with_keep_going(
     grbl: FakeGrbl, connection: Connection, view: Watcher
 ) -> None:
-    report = Stream(connection, listing(b"G64", b"G0 X1"), view, keep_going=True).run()
+    report = Stream(connection, ready_lines(b"G64", b"G0 X1"), view, keep_going=True).run()
     assert len(report.errors) == 1 and grbl.realtime == b"" and len(grbl.lines) == 2
 
 
 def test_alarm_stops_the_program_with_its_cause(connection: Connection, view: Watcher) -> None:
-    report = Stream(connection, listing(b"G21", b"G38.2 Z-1 F10", *program(50)), view).run()
+    report = Stream(connection, ready_lines(b"G21", b"G38.2 Z-1 F10", *program(50)), view).run()
     assert report.stopped == f"ALARM:4: {meaning('ALARM:4')}"
     assert report.answered < 50
 
@@ -312,7 +312,7 @@ def test_reset_of_the_controller_stops_the_program(
 
 
 def test_messages_and_states_are_shown(connection: Connection, view: Watcher) -> None:
-    Stream(connection, listing(b"M2"), view).run()
+    Stream(connection, ready_lines(b"M2"), view).run()
     assert view.messages == ["[MSG:Pgm End]"]
     assert view.states[-1].startswith("<Idle|MPos:1.000,2.000,3.000")
 
@@ -709,7 +709,7 @@ def test_port_in_use_is_reported(grbl: FakeGrbl, connection: Connection) -> None
         Connection(grbl.port)
 
 
-def refused(number: int, text: str) -> Callable[..., None]:
+def open_port_raising(number: int, text: str) -> Callable[..., None]:
     """Return an open_port that raises what pyserial raises."""
 
     def open_port(*_: object, **__: object) -> None:
@@ -757,7 +757,7 @@ def test_refusal_by_the_system_is_reported_in_our_words(
 ) -> None:
     """number, theirs: error number and text of pyserial; without a number the text has the
     cause."""
-    monkeypatch.setattr(serial, "serial_for_url", refused(number, theirs))
+    monkeypatch.setattr(serial, "serial_for_url", open_port_raising(number, theirs))
     with pytest.raises(SendError, match=words) as raised:
         Connection("/dev/ttyACM0")
     assert theirs not in str(raised.value)

@@ -123,7 +123,7 @@ class Send:
                 return
 
 
-def wait_until_at(bench: Bench, mm: float) -> None:
+def wait_until_x(bench: Bench, mm: float) -> None:
     """Wait until a status report on the wire has passed this X."""
     end_s = time.monotonic() + _PATIENCE_S
     while time.monotonic() < end_s:
@@ -134,12 +134,12 @@ def wait_until_at(bench: Bench, mm: float) -> None:
     raise AssertionError(f"never at {mm} mm")
 
 
-def place_reported(bench: Bench) -> float:
+def last_reported_x(bench: Bench) -> float:
     """Return X of the last report on the wire."""
     return float(re.findall(rb"MPos:(-?[\d.]+)", bench.wire("<"))[-1])
 
 
-def place(bench: Bench) -> tuple[str, list[float]]:
+def state_and_position(bench: Bench) -> tuple[str, list[float]]:
     """Ask for state and position: its name, and X, Y, Z in mm."""
     connection = Connection(str(bench.port))
     assert connection.answers()
@@ -147,7 +147,7 @@ def place(bench: Bench) -> tuple[str, list[float]]:
     return connection.state(), connection.place()
 
 
-def line_made(text: str) -> int:
+def line_executed(text: str) -> int:
     """Return the number of the line that was being executed, by the output."""
     named = re.search(r"line (\d+) was being executed", text)
     assert named, text
@@ -161,16 +161,16 @@ def test_signal_holds_resets_and_names_the_line(
     """128 + its number is the usual exit code after a signal. The line named is the one whose
     part of the stairs has this X."""
     send = Send(bench, tmp_path, STAIRS)
-    wait_until_at(bench, 5)
+    wait_until_x(bench, 5)
     os.kill(send.pid, number)
     code, text = send.end()
-    state, (x, _, _) = place(bench)
+    state, (x, _, _) = state_and_position(bench)
     assert code == 128 + number
     sent = bench.wire(">")
     assert 0 < sent.index(b"!") < sent.index(b"\x18")
     assert state == "Idle" and x < 100
     # Line n is from X (n-1)/2 to n/2; the last report may be from the line before.
-    assert (line_made(text) - 2) / 2 <= x <= line_made(text) / 2 + 0.02
+    assert (line_executed(text) - 2) / 2 <= x <= line_executed(text) / 2 + 0.02
     assert f"stopped: {number.name}" in text and "the machine is in Idle" in text
 
 
@@ -180,15 +180,15 @@ def test_ctrl_c_holds_and_asks_whether_to_continue(
 ) -> None:
     """The last line ends at X30; an answer that is neither r nor a is asked for again."""
     send = Send(bench, tmp_path, STAIRS[:60], terminal=True)
-    wait_until_at(bench, 5)
+    wait_until_x(bench, 5)
     send.press("\x03")
     send.wait_text("Type r to resume, or a to abort, then Enter")
     send.wait_text("r or a> ")
     send.press("what?\n")
-    assert place_reported(bench) < 30
+    assert last_reported_x(bench) < 30
     send.press(f"{answer}\n")
     code, text = send.end()
-    state, (x, _, _) = place(bench)
+    state, (x, _, _) = state_and_position(bench)
     assert (code, state) == (0 if answer == "r" else 1, "Idle")
     assert (x == 30.0) == ("being executed" not in text) == (answer == "r")
 
@@ -197,11 +197,11 @@ def test_closed_terminal_holds_first(bench: Bench, tmp_path: Path) -> None:
     """The process receives SIGHUP and ends by itself."""
     send = Send(bench, tmp_path, STAIRS, terminal=True)
     send.wait_text("keys:")
-    wait_until_at(bench, 5)
+    wait_until_x(bench, 5)
     os.close(send.master)
     _, status = os.waitpid(send.pid, 0)
     assert os.waitstatus_to_exitcode(status) == 128 + signal.SIGHUP
-    state, (x, _, _) = place(bench)
+    state, (x, _, _) = state_and_position(bench)
     assert state == "Idle" and 5 <= x < 100
     sent = bench.wire(">")
     assert sent.index(b"!") < sent.index(b"\x18")
@@ -213,7 +213,7 @@ def test_refused_line_ends_the_program_without_a_terminal(bench: Bench, tmp_path
     lines = [*STAIRS[:20], "T1 M6", *STAIRS[20:]]
     send = Send(bench, tmp_path, lines, "--no-check")
     code, text = send.end()
-    state, (x, _, _) = place(bench)
+    state, (x, _, _) = state_and_position(bench)
     assert code == 1 and state == "Idle"
     assert "line 21: T1 M6: error:20" in text and x < 25
 
@@ -239,14 +239,14 @@ def test_refused_line_asks_and_can_be_skipped(bench: Bench, tmp_path: Path) -> N
     send.press("k\n")
     code, text = send.end()
     assert code == 1 and "6 lines, 2 errors" in text
-    assert place(bench) == ("Idle", [3.0, 0.0, 0.0])
+    assert state_and_position(bench) == ("Idle", [3.0, 0.0, 0.0])
 
 
 def test_keys_hold_and_resume_and_m0_shows_its_comment(bench: Bench, tmp_path: Path) -> None:
     """Space holds, ~ resumes, Enter continues after M0."""
     lines = ["G21 G90 F900", "G1 X8", "M0 (Fräser 3 mm)", "G1 X9"]
     send = Send(bench, tmp_path, lines, terminal=True)
-    wait_until_at(bench, 1)
+    wait_until_x(bench, 1)
     send.press(" ")
     send.wait_text("the machine is in Hold")
     send.press("~")
@@ -254,7 +254,7 @@ def test_keys_hold_and_resume_and_m0_shows_its_comment(bench: Bench, tmp_path: P
     send.press("\n")
     code, text = send.end()
     assert code == 0, text
-    assert place(bench)[1][0] == 9.0
+    assert state_and_position(bench)[1][0] == 9.0
 
 
 def test_soft_limits_of_the_machine_are_used(bench: Bench, tmp_path: Path) -> None:
@@ -267,7 +267,7 @@ def test_soft_limits_of_the_machine_are_used(bench: Bench, tmp_path: Path) -> No
     connection.close()
     code, text = Send(bench, tmp_path, ["G21 G90 G1 X40 F900", "X-60"]).end()
     assert code == 1 and "line 2: ALARM:2" in text and "1 line would be refused" in text
-    assert place(bench) == ("Idle", [0.0, 0.0, 0.0])
+    assert state_and_position(bench) == ("Idle", [0.0, 0.0, 0.0])
 
 
 def test_alarm_names_the_line_being_executed(bench: Bench, tmp_path: Path) -> None:
@@ -279,7 +279,7 @@ def test_alarm_names_the_line_being_executed(bench: Bench, tmp_path: Path) -> No
     code, text = Send(bench, tmp_path, STAIRS).end()
     assert code == 1 and "stopped: ALARM:1" in text
     # Line 40 ends at the switch, 20 mm; the line is that of the last report before the alarm.
-    assert 30 <= line_made(text) <= 41
+    assert 30 <= line_executed(text) <= 41
     assert "the machine is in Alarm: reset it (Ctrl-X), then home it" in text
 
 
@@ -290,7 +290,7 @@ def test_from_line_restores_modes_tool_and_position(bench: Bench, tmp_path: Path
     send = Send(bench, tmp_path, lines, "--from-line", "6", "--yes")
     code, text = send.end()
     assert code == 0, text
-    assert place(bench)[1] == [20.32, 0.0, 5.08]
+    assert state_and_position(bench)[1] == [20.32, 0.0, 5.08]
     assert "up to Z5.080" in text and "across to X10.160 Y0.000" in text
     assert "down to Z-2.540 at 508 mm/min" in text and "spindle on: M3 S1000" in text
     sent = [line for line in bench.wire(">").replace(b"?", b"").split(b"\n") if line]
@@ -307,7 +307,7 @@ def test_from_line_sends_g93_and_large_numbers_in_a_form_that_grbl_accepts(
     lines = ["G21 G90 S2000000", "G10 P1 L20 X0", "G1 X1 F2000000", "G93", "X2 F60", "G1 X3 F60"]
     code, text = Send(bench, tmp_path, lines, "--from-line", "6", "--yes").end()
     assert code == 0 and "line 2 sets the origin where the tool is" in text, text
-    assert place(bench)[1][0] == 3.0
+    assert state_and_position(bench)[1][0] == 3.0
     sent = bench.wire(">").replace(b"?", b"").split(b"\n")
     assert sent[-4:-1] == [b"G1 G54 G17 G21 G90 S2000000", b"G93", b"G1 X3 F60"]
 
@@ -326,10 +326,10 @@ def test_from_line_keeps_a_laser_dark_until_it_moves(bench: Bench, tmp_path: Pat
     sent = bench.wire(">").replace(b"?", b"").split(b"\n")
     lead = sent[sent.index(b"G0 M3 S500") :]
     assert not [line for line in lead[: lead.index(b"G0 X14")] if b"G1 " in line]
-    assert place(bench)[1][0] == 15.0
+    assert state_and_position(bench)[1][0] == 15.0
 
 
-OWN = """\
+CUSTOM = """\
 from ugrbl import gcode, mcode, on
 
 @gcode(101, "xy", sync=None)
@@ -344,7 +344,7 @@ def vacuum(m, P):
 def change(m, tool):
     m.message("tool %d" % tool)
 """
-OWN_CUTS = [
+CUSTOM_PROGRAM = [
     *("G21 G90", "G0 Z5", "M100 P1", "T1 M6", "M3 S1000", "G1 Z-1 F900"),
     *("G101 X5 Y2", "G101 X5 Y4", "G1 X6 Y4", "G0 Z5"),
 ]
@@ -353,7 +353,7 @@ OWN_CUTS = [
 @pytest.fixture
 def own_bench(tmp_path: Path) -> Iterator[Bench]:
     """Start a machine with its own Python in mine.py."""
-    (tmp_path / "mine.py").write_text(OWN)
+    (tmp_path / "mine.py").write_text(CUSTOM)
     running = Bench(tmp_path, "--custom", str(tmp_path / "mine.py"), settings=SETTINGS)
     unlock(running)
     yield running
@@ -365,26 +365,28 @@ def test_user_words_unknown_to_the_simulator_are_not_refusals(
 ) -> None:
     """The rehearsal does not know M100, T1 M6 and G101, but the machine has them by its own
     Python."""
-    code, text = Send(own_bench, tmp_path, OWN_CUTS).end()
+    code, text = Send(own_bench, tmp_path, CUSTOM_PROGRAM).end()
     assert code == 0, text
     assert (
         "unknown to the simulator: line 3, M100, and 3 more lines; --custom FILE simulates them"
         in text
     )
-    assert place(own_bench)[1] == [6.0, 4.0, 5.0]
+    assert state_and_position(own_bench)[1] == [6.0, 4.0, 5.0]
 
 
 def test_line_unknown_to_the_machine_is_refused_in_spite_of_user_words(
     own_bench: Bench, tmp_path: Path
 ) -> None:
     """M102 is not in the list that the machine reports of its own words."""
-    code, text = Send(own_bench, tmp_path, [*OWN_CUTS, "M102"]).end()
+    code, text = Send(own_bench, tmp_path, [*CUSTOM_PROGRAM, "M102"]).end()
     assert code == 1 and "line 11: M102" in text and "1 line would be refused" in text
-    assert place(own_bench) == ("Idle", [0.0, 0.0, 0.0])
+    assert state_and_position(own_bench) == ("Idle", [0.0, 0.0, 0.0])
 
 
 def test_user_words_are_rehearsed_with_their_file(own_bench: Bench, tmp_path: Path) -> None:
-    code, text = Send(own_bench, tmp_path, OWN_CUTS, "--custom", str(tmp_path / "mine.py")).end()
+    code, text = Send(
+        own_bench, tmp_path, CUSTOM_PROGRAM, "--custom", str(tmp_path / "mine.py")
+    ).end()
     assert code == 0 and "not known" not in text, text
 
 
@@ -394,10 +396,10 @@ def test_from_line_refuses_to_start_after_user_words_that_may_have_moved(
 ) -> None:
     """Without their Python the tool cannot know where M100 or G101 have moved the machine."""
     words = (check, "--from-line", "9", "--yes")
-    code, text = Send(own_bench, tmp_path, OWN_CUTS, *words).end()
+    code, text = Send(own_bench, tmp_path, CUSTOM_PROGRAM, *words).end()
     assert code == 1 and "--custom FILE" in text
     assert "the simulator refuses line 3: M100 P1" in text
-    assert place(own_bench) == ("Idle", [0.0, 0.0, 0.0])
+    assert state_and_position(own_bench) == ("Idle", [0.0, 0.0, 0.0])
     assert b"G53" not in own_bench.wire(">")
 
 
@@ -406,11 +408,11 @@ def test_from_line_follows_the_moves_of_user_words_in_their_file(
 ) -> None:
     """With their Python the rehearsal knows the position before line 9: X5 Y4."""
     words = ("--from-line", "9", "--yes", "--custom", str(tmp_path / "mine.py"))
-    code, text = Send(own_bench, tmp_path, OWN_CUTS, *words).end()
+    code, text = Send(own_bench, tmp_path, CUSTOM_PROGRAM, *words).end()
     assert code == 0, text
     assert "across to X5.000 Y4.000" in text and "note: vacuum has to be on" in text
     assert b"G53 G0 X5.000 Y4.000" in own_bench.wire(">")
-    assert place(own_bench)[1] == [6.0, 4.0, 5.0]
+    assert state_and_position(own_bench)[1] == [6.0, 4.0, 5.0]
 
 
 @pytest.mark.parametrize("words", [[], ["--no-check", "--from-line", "4", "--yes"]])
@@ -419,13 +421,13 @@ def test_file_that_differs_from_the_machines_is_refused(
 ) -> None:
     """The file given has another event handler (tool_select)."""
     other = tmp_path / "other.py"
-    other.write_text(OWN.replace("tool_change", "tool_select"))
-    code, text = Send(own_bench, tmp_path, OWN_CUTS, *words, "--custom", str(other)).end()
+    other.write_text(CUSTOM.replace("tool_change", "tool_select"))
+    code, text = Send(own_bench, tmp_path, CUSTOM_PROGRAM, *words, "--custom", str(other)).end()
     expected = (
         "differs from the Python on the machine: G101, M100, on.tool_change there, G101, M100, on"
     )
     assert code == 1 and expected in " ".join(text.split())
-    assert place(own_bench) == ("Idle", [0.0, 0.0, 0.0])
+    assert state_and_position(own_bench) == ("Idle", [0.0, 0.0, 0.0])
 
 
 def test_from_line_refuses_to_start_after_a_refused_line(bench: Bench, tmp_path: Path) -> None:
@@ -434,7 +436,7 @@ def test_from_line_refuses_to_start_after_a_refused_line(bench: Bench, tmp_path:
     words = ("--no-check", "--from-line", "8", "--yes")
     code, text = Send(bench, tmp_path, lines, *words).end()
     assert code == 1 and "the simulator refuses line 6: G64" in text
-    assert place(bench) == ("Idle", [0.0, 0.0, 0.0])
+    assert state_and_position(bench) == ("Idle", [0.0, 0.0, 0.0])
 
 
 def test_unreadable_custom_file_is_reported_before_the_machine_is_asked(
@@ -447,7 +449,7 @@ def test_unreadable_custom_file_is_reported_before_the_machine_is_asked(
 def test_from_line_moves_nothing_without_consent(bench: Bench, tmp_path: Path) -> None:
     code, text = Send(bench, tmp_path, STAIRS, "--from", "50").end()
     assert code == 1 and "--yes" in text
-    assert place(bench) == ("Idle", [0.0, 0.0, 0.0])
+    assert state_and_position(bench) == ("Idle", [0.0, 0.0, 0.0])
 
 
 def test_remaining_time_comes_from_the_simulation(bench: Bench, tmp_path: Path) -> None:
@@ -471,7 +473,7 @@ def test_program_is_read_from_stdin(bench: Bench, tmp_path: Path) -> None:
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    assert place(bench)[1][0] == 2.0
+    assert state_and_position(bench)[1][0] == 2.0
 
 
 def test_line_is_named_from_reports_of_work_positions(bench: Bench, tmp_path: Path) -> None:
@@ -489,7 +491,7 @@ def test_line_is_named_from_reports_of_work_positions(bench: Bench, tmp_path: Pa
         time.sleep(0.05)
     os.kill(send.pid, signal.SIGTERM)
     _, text = send.end()
-    named_line = line_made(text)
+    named_line = line_executed(text)
     connection = Connection(str(bench.port))
     assert connection.wait_for(lambda line: bool(connection.place()), 5)
     connection.close()
@@ -518,7 +520,7 @@ def test_full_disk_starts_no_job_and_ends_none(
             check=False,
         )
     assert "the disk is full" in done.stderr and "Traceback" not in done.stderr
-    assert place(bench) == ("Idle", [x, 0.0, 0.0])
+    assert state_and_position(bench) == ("Idle", [x, 0.0, 0.0])
     assert (done.returncode == 0) == ("40 lines, 0 errors" in done.stderr) == (x > 0)
 
 
@@ -540,7 +542,7 @@ def test_closed_output_pipe_ends_no_job(bench: Bench, tmp_path: Path) -> None:
     )
     os.close(write)
     assert "40 lines, 0 errors" in done.stderr and "Traceback" not in done.stderr
-    assert place(bench) == ("Idle", [20.0, 0.0, 0.0])
+    assert state_and_position(bench) == ("Idle", [20.0, 0.0, 0.0])
 
 
 def test_command_that_needs_a_board_reports_the_simulator(
@@ -555,8 +557,8 @@ def test_command_that_needs_a_board_reports_the_simulator(
 
 def test_unplugged_cable_is_reported_with_line_and_state(bench: Bench, tmp_path: Path) -> None:
     send = Send(bench, tmp_path, STAIRS)
-    wait_until_at(bench, 5)
+    wait_until_x(bench, 5)
     bench.kill()
     code, text = send.end()
-    assert code == 1 and "has the simulator ended?" in text and line_made(text) > 10
+    assert code == 1 and "has the simulator ended?" in text and line_executed(text) > 10
     assert "was in Run, and goes on" in text
