@@ -8,7 +8,7 @@ from emulated import BOARD_FILE, DIR, SPINDLE_PWM, STEP, Board, Odometer, firmwa
 from micropython_runner import needs_micropython, run_micropython
 from sd_model import SdCard
 from test_pico_jobs import push
-from test_pico_stack import SIZE, Stack
+from test_pico_stack import STACK_BYTES, Stack
 from ugrbl.compiling import build
 
 pytestmark = [pytest.mark.xdist_group("pico card"), needs_micropython]
@@ -20,7 +20,7 @@ _SETTINGS = ("$100=100", "$101=100", "$110=6000", "$111=6000", "$120=500", "$121
 _LINES = 150
 # Stack reserve in bytes. MicroPython's FAT goes deeper than the 2 kB limit allows, and the number
 # and depth of interrupts on top of it depend on their phase.
-_RESERVE = 1536
+_RESERVE_BYTES = 1536
 _TEXT = "".join(f"G1X{i % 7 * 0.3:.2f}Y{i % 5 * 0.4:.2f}F3000 (line {i})\n" for i in range(_LINES))
 _JOB = f"M3S500\n{_TEXT}M5\n".encode()
 
@@ -94,7 +94,7 @@ def test_job_runs_from_a_card(uf2: Path, tmp_path: Path) -> None:
     last_line = _TEXT.splitlines()[-1]
     x, y = (float(last_line.partition(axis)[2][:4]) for axis in "XY")  # mm
     assert odometer.read() == [round(100 * x), round(100 * y), 0]
-    assert stack.most_used() <= SIZE - _RESERVE
+    assert stack.most_used() <= STACK_BYTES - _RESERVE_BYTES
 
 
 def test_removed_card_stops_the_job_and_another_card_runs(uf2: Path, tmp_path: Path) -> None:

@@ -125,7 +125,8 @@ def send_when_idle(machine: Board, beam: Beam, *lines: str) -> None:
 def test_power_changes_at_its_step_at_100_mm_s(
     machine: Board, beam: Beam, per_mm: int, mode: str
 ) -> None:
-    """The table of docs/laser.md has the largest distance of a change from its place, in steps."""
+    """Each change of power of a row of dots comes within 0.05 steps of its place:
+    docs/laser.md."""
     check_power_places(machine, beam, per_mm, mode)
 
 

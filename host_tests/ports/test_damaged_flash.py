@@ -141,5 +141,5 @@ def test_micropython_starts_with_the_older_copy(filled: Path, tmp_path: Path) ->
     has sent."""
     folder = tmp_path / "board"
     shutil.copytree(filled, folder)
-    said = run_micropython(_BENCH, "damage", folder, paths=PATHS)
-    assert said == f"{2 * len(NAMES) - 1}\n", "once at the start, and once more after a reset"
+    printed = run_micropython(_BENCH, "damage", folder, paths=PATHS)
+    assert printed == f"{2 * len(NAMES) - 1}\n", "once at the start, and once more after a reset"

@@ -41,7 +41,7 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> Dupterm:
     return second_terminal
 
 
-def escapes(*pieces: bytes, at_rest: bool = True) -> bool:
+def leads_to_prompt(*pieces: bytes, at_rest: bool = True) -> bool:
     """Return whether these bytes, read in these pieces, lead to the prompt."""
     closed: list[bool] = []
     escape = Escape(lambda: closed.append(True))
@@ -71,7 +71,7 @@ def escapes(*pieces: bytes, at_rest: bool = True) -> bool:
 def test_escape_sequences_lead_to_the_prompt(
     pieces: "tuple[bytes, ...]", terminal: Dupterm
 ) -> None:
-    assert escapes(*pieces)
+    assert leads_to_prompt(*pieces)
 
 
 @pytest.mark.parametrize(
@@ -88,15 +88,15 @@ def test_escape_sequences_lead_to_the_prompt(
 def test_other_bytes_do_not_lead_to_the_prompt(
     pieces: "tuple[bytes, ...]", terminal: Dupterm
 ) -> None:
-    assert not escapes(*pieces)
+    assert not leads_to_prompt(*pieces)
     assert terminal.arrived == b""
 
 
 def test_escape_is_ignored_while_the_machine_moves(terminal: Dupterm) -> None:
-    assert not escapes(b"\x03\x03\x03", at_rest=False)
+    assert not leads_to_prompt(b"\x03\x03\x03", at_rest=False)
 
 
 def test_the_prompt_reads_the_bytes_after_the_escape(terminal: Dupterm) -> None:
     """The Ctrl-A itself is passed on: it switches the prompt to the raw REPL."""
-    assert escapes(b"\r\x03\r\x01print(1)\r\x04")
+    assert leads_to_prompt(b"\r\x03\r\x01print(1)\r\x04")
     assert terminal.arrived == b"\x01print(1)\r\x04"

@@ -61,10 +61,10 @@ def test_a_power_cut_in_the_first_write_leaves_a_new_board_or_the_settings(
     chip = Flash(image)
     attach(monkeypatch, chip).save("settings", OLD)
     loaded = []
-    for complete, (_, data) in enumerate([*chip.log, (0, b"")]):
+    for complete_operations, (_, data) in enumerate([*chip.log, (0, b"")]):
         # Cut the next operation after none, one, half, and all but one of its bytes.
-        for torn in sorted({0, 1, len(data) // 2, max(len(data) - 1, 0)}):
-            chip_after_cut = Flash(cut(image, chip.log, complete, torn))
+        for torn_bytes in sorted({0, 1, len(data) // 2, max(len(data) - 1, 0)}):
+            chip_after_cut = Flash(cut(image, chip.log, complete_operations, torn_bytes))
             loaded.append(attach(monkeypatch, chip_after_cut).load("settings"))
     assert [] in loaded and OLD in loaded
     assert all(lines in ([], OLD) for lines in loaded)
@@ -80,12 +80,14 @@ def test_a_power_cut_at_any_write_leaves_the_old_or_the_new_text(
     chip = Flash(image)
     attach(monkeypatch, chip).save("settings", NEW)
     loaded = set()
-    for complete, (_, data) in enumerate([*chip.log, (0, b"")]):
+    for complete_operations, (_, data) in enumerate([*chip.log, (0, b"")]):
         # Cut the next operation after none, one, half, and all but one of its bytes.
-        for torn in sorted({0, 1, len(data) // 2, max(len(data) - 1, 0)}):
-            chip_after_cut = Flash(cut(image, chip.log, complete, torn))
+        for torn_bytes in sorted({0, 1, len(data) // 2, max(len(data) - 1, 0)}):
+            chip_after_cut = Flash(cut(image, chip.log, complete_operations, torn_bytes))
             lines = attach(monkeypatch, chip_after_cut).load("settings")
-            assert lines in (OLD, NEW), f"after {complete} operations and {torn} bytes"
+            assert lines in (OLD, NEW), (
+                f"after {complete_operations} operations and {torn_bytes} bytes"
+            )
             loaded.add(tuple(lines))
     assert len(loaded) == 2, "cuts must fall on both sides of the change"
 
@@ -99,19 +101,19 @@ def test_a_second_power_cut_leaves_the_text_read_before_or_the_new_text(
     attach(monkeypatch, chip_with_old, fresh=True).save("settings", OLD)
     chip = Flash(bytes(chip_with_old.buffer))
     attach(monkeypatch, chip).save("settings", NEW)
-    for complete in range(len(chip.log) + 1):
-        image = cut(bytes(chip_with_old.buffer), chip.log, complete, 0)
+    for complete_operations in range(len(chip.log) + 1):
+        image = cut(bytes(chip_with_old.buffer), chip.log, complete_operations, 0)
         chip_after_cut = Flash(image)
         store = attach(monkeypatch, chip_after_cut)
         text_after_cut = store.load("settings")
         store.save("settings", third_text)
-        for complete_later in range(len(chip_after_cut.log) + 1):
+        for operations_later in range(len(chip_after_cut.log) + 1):
             store_after_second_cut = attach(
-                monkeypatch, Flash(cut(image, chip_after_cut.log, complete_later, 0))
+                monkeypatch, Flash(cut(image, chip_after_cut.log, operations_later, 0))
             )
             assert store_after_second_cut.load("settings") in (text_after_cut, third_text), (
-                complete,
-                complete_later,
+                complete_operations,
+                operations_later,
             )
             assert not store_after_second_cut.damaged, "a power cut is not damage"
 
@@ -131,33 +133,33 @@ def test_a_full_flash_is_reported_and_loses_nothing(monkeypatch: pytest.MonkeyPa
     """Every file opened for writing raises ENOSPC (28)."""
     store = attach(monkeypatch, Flash(), fresh=True)
     store.save("settings", OLD)
-    working = flash_store.open  # type: ignore[attr-defined]
+    working_open = flash_store.open  # type: ignore[attr-defined]
 
-    def full(path: str, mode: str = "r") -> Any:
-        return FullFile() if mode == "wb" else working(path, mode)
+    def is_full(path: str, mode: str = "r") -> Any:
+        return FullFile() if mode == "wb" else working_open(path, mode)
 
-    monkeypatch.setattr(flash_store, "open", full)
+    monkeypatch.setattr(flash_store, "open", is_full)
     with pytest.raises(OSError, match="28"):
         store.save("settings", NEW)
     assert store.load("settings") == OLD
 
 
-@pytest.mark.parametrize("turn", [1, 2, 3])
+@pytest.mark.parametrize("failing_open", [1, 2, 3])
 def test_full_memory_is_reported_like_full_flash(
-    turn: int, monkeypatch: pytest.MonkeyPatch
+    failing_open: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Opening file number `turn` of a save fails: the one written, the same read back, the older
-    one read. The error becomes ENOMEM (12), and the settings stay."""
+    """Opening file number `failing_open` of a save fails: the one written, the same read back, the
+    older one read. The error becomes ENOMEM (12), and the settings stay."""
     store = attach(monkeypatch, Flash(), fresh=True)
     store.save("settings", OLD)
-    working = flash_store.open  # type: ignore[attr-defined]
+    working_open = flash_store.open  # type: ignore[attr-defined]
     opened: list[str] = []
 
     def open_or_fail(path: str, mode: str = "r") -> Any:
         opened.append(path)
-        if len(opened) == turn:
+        if len(opened) == failing_open:
             raise MemoryError("allocating 1253 bytes")
-        return working(path, mode)
+        return working_open(path, mode)
 
     monkeypatch.setattr(flash_store, "open", open_or_fail)
     with pytest.raises(OSError, match="12"):
@@ -165,17 +167,17 @@ def test_full_memory_is_reported_like_full_flash(
     assert store.load("settings") == OLD
 
 
-@pytest.mark.parametrize("full", [False, True])
+@pytest.mark.parametrize("is_full", [False, True])
 def test_a_write_calls_both_hooks_even_if_it_fails(
-    full: bool, monkeypatch: pytest.MonkeyPatch
+    is_full: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """before() and after() enclose a save, not a load. full: the save fails."""
+    """before() and after() enclose a save, not a load. is_full: the save fails."""
     attach(monkeypatch, Flash(), fresh=True)
     calls: list[str] = []
     store = FlashStore()
     store.before, store.after = lambda: calls.append("before"), lambda: calls.append("after")
     assert store.load("settings") == [] and calls == []
-    if full:
+    if is_full:
         monkeypatch.setattr(FullFile, "read", lambda _: b"", raising=False)
         monkeypatch.setattr(flash_store, "open", lambda *_: FullFile(), raising=False)
         with pytest.raises(OSError, match="28"):

@@ -16,7 +16,7 @@ from ports.storage.prepared_page import PreparedPages
 _RECORD = bytes(range(40))
 
 
-def attach(
+def pages_on_chip(
     monkeypatch: pytest.MonkeyPatch, flash: Flash, fresh: bool = False
 ) -> "tuple[PreparedPages, Files]":
     """Return pages on that chip, and its files."""
@@ -29,9 +29,9 @@ def attach(
     return pages, files
 
 
-def erased(flash: Flash, before: int) -> int:
+def count_erased(flash: Flash, log_length: int) -> int:
     """Return how many blocks have been erased since that entry of the log."""
-    return sum(len(data) == BLOCK for _, data in flash.log[before:])
+    return sum(len(data) == BLOCK for _, data in flash.log[log_length:])
 
 
 def test_record_is_one_page_without_an_erasure_and_survives_a_start(
@@ -39,15 +39,15 @@ def test_record_is_one_page_without_an_erasure_and_survives_a_start(
 ) -> None:
     """Records are returned newest first. erase() prepares blank pages, and drops the records."""
     flash = Flash()
-    pages, files = attach(monkeypatch, flash, fresh=True)
+    pages, files = pages_on_chip(monkeypatch, flash, fresh=True)
     assert not pages.is_fresh() and not pages.write(_RECORD)  # nothing is prepared yet
     assert pages.erase()
     files.fs.open("/settings.txt", "wb").close()  # the file system goes on
-    before = len(flash.log)
+    log_length = len(flash.log)
     assert pages.write(_RECORD) and pages.write(b"second")
     # two pages programmed, no block erased
-    assert [len(data) for _, data in flash.log[before:]] == [PAGE, PAGE]
-    after_start, files = attach(monkeypatch, Flash(bytes(flash.buffer)))
+    assert [len(data) for _, data in flash.log[log_length:]] == [PAGE, PAGE]
+    after_start, files = pages_on_chip(monkeypatch, Flash(bytes(flash.buffer)))
     assert list(after_start.records()) == [b"second", _RECORD] and not after_start.is_fresh()
     assert after_start.erase() and list(after_start.records()) == []
     assert files.fs.stat("/pages").size == BLOCK
@@ -58,7 +58,7 @@ def test_pages_stay_where_they_are_while_other_files_are_written(
 ) -> None:
     """200 writes of up to 9000 bytes to 7 other files make littlefs move its blocks."""
     flash = Flash()
-    pages, files = attach(monkeypatch, flash, fresh=True)
+    pages, files = pages_on_chip(monkeypatch, flash, fresh=True)
     pages.erase()
     assert pages.write(_RECORD)
     for number in range(200):
@@ -66,18 +66,18 @@ def test_pages_stay_where_they_are_while_other_files_are_written(
             file.write(bytes([number]) * (number * 97 % 9000))
     for _ in range(13):  # with _RECORD, 14 of 15 pages
         assert pages.write(b"more")
-    after_start, _ = attach(monkeypatch, Flash(bytes(flash.buffer)))
+    after_start, _ = pages_on_chip(monkeypatch, Flash(bytes(flash.buffer)))
     assert list(after_start.records()) == [*[b"more"] * 13, _RECORD]
 
 
 def test_last_page_is_used_and_no_other_block(monkeypatch: pytest.MonkeyPatch) -> None:
     flash = Flash()
-    pages, _ = attach(monkeypatch, flash, fresh=True)
+    pages, _ = pages_on_chip(monkeypatch, flash, fresh=True)
     pages.erase()
-    before = bytes(flash.buffer)
+    log_length = bytes(flash.buffer)
     written = [pages.write(b"%d" % i) for i in range(20)]  # 15 pages for records
     assert written == [True] * 15 + [False] * 5
-    changed = {i // BLOCK for i in range(len(before)) if before[i] != flash.buffer[i]}
+    changed = {i // BLOCK for i in range(len(log_length)) if log_length[i] != flash.buffer[i]}
     assert len(changed) == 1
 
 
@@ -85,16 +85,20 @@ def test_record_that_a_power_cut_has_torn_is_none(monkeypatch: pytest.MonkeyPatc
     """Power is cut after each byte of the page that is programmed: the older record stays
     valid."""
     flash = Flash()
-    pages, _ = attach(monkeypatch, flash, fresh=True)
+    pages, _ = pages_on_chip(monkeypatch, flash, fresh=True)
     pages.erase()
     pages.write(b"first")
     image = bytes(flash.buffer)
     flash.log.clear()
     pages.write(_RECORD)
-    for torn in range(PAGE + 1):
-        pages_after_cut, _ = attach(monkeypatch, Flash(cut(image, flash.log, 0, torn)))
-        expected = [_RECORD, b"first"] if torn >= 46 else [b"first"]  # 6 bytes of head, 40 of data
-        assert list(pages_after_cut.records()) == expected, torn
+    for torn_bytes in range(PAGE + 1):
+        pages_after_cut, _ = pages_on_chip(
+            monkeypatch, Flash(cut(image, flash.log, 0, torn_bytes))
+        )
+        expected = (
+            [_RECORD, b"first"] if torn_bytes >= 46 else [b"first"]
+        )  # 6 bytes of head, 40 of data
+        assert list(pages_after_cut.records()) == expected, torn_bytes
 
 
 def test_power_cut_while_pages_are_prepared_leaves_the_record_or_none(
@@ -102,20 +106,22 @@ def test_power_cut_while_pages_are_prepared_leaves_the_record_or_none(
 ) -> None:
     """Power is cut at each operation of erase(), which drops the record."""
     flash = Flash()
-    pages, _ = attach(monkeypatch, flash, fresh=True)
+    pages, _ = pages_on_chip(monkeypatch, flash, fresh=True)
     pages.erase()
     pages.write(_RECORD)
     image = bytes(flash.buffer)
     flash.log.clear()
     pages.erase()
-    assert erased(flash, 0)
+    assert count_erased(flash, 0)
     outcomes = set()
-    for complete, (_, data) in enumerate([*flash.log, (0, b"")]):
+    for complete_operations, (_, data) in enumerate([*flash.log, (0, b"")]):
         # Cut the next operation after none, one, half, and all but one of its bytes.
-        for torn in sorted({0, 1, len(data) // 2, max(len(data) - 1, 0)}):
-            pages_after_cut, _ = attach(monkeypatch, Flash(cut(image, flash.log, complete, torn)))
+        for torn_bytes in sorted({0, 1, len(data) // 2, max(len(data) - 1, 0)}):
+            pages_after_cut, _ = pages_on_chip(
+                monkeypatch, Flash(cut(image, flash.log, complete_operations, torn_bytes))
+            )
             records = tuple(pages_after_cut.records())
-            assert records in ((), (_RECORD,)), (complete, torn)
+            assert records in ((), (_RECORD,)), (complete_operations, torn_bytes)
             assert pages_after_cut.is_fresh() == (not records)
             outcomes.add(records)
     assert len(outcomes) == 2, "cuts must fall on both sides of the change"
@@ -125,13 +131,13 @@ def test_page_that_does_not_keep_it_is_left_out(monkeypatch: pytest.MonkeyPatch)
     """A bit of the first page for records can no longer be 1: the record is written again, into
     the next page."""
     flash = Flash()
-    pages, _ = attach(monkeypatch, flash, fresh=True)
+    pages, _ = pages_on_chip(monkeypatch, flash, fresh=True)
     pages.erase()
     flash.buffer[BLOCK * pages._block + PAGE + 8] = 0  # a worn cell
-    before = len(flash.log)
+    log_length = len(flash.log)
     assert pages.write(_RECORD)
     # two pages were programmed
-    assert len(flash.log) - before == 2 and list(pages.records()) == [_RECORD]
+    assert len(flash.log) - log_length == 2 and list(pages.records()) == [_RECORD]
 
 
 def test_file_system_that_keeps_files_elsewhere_is_left_alone(
@@ -140,14 +146,14 @@ def test_file_system_that_keeps_files_elsewhere_is_left_alone(
     """The mark is not found in the chip (other), for example because the file system is a FAT.
     Nothing is written to the chip; the file is made once, not at each start."""
     flash, chip = Flash(), Flash()
-    pages, _ = attach(monkeypatch, flash, fresh=True)
+    pages, _ = pages_on_chip(monkeypatch, flash, fresh=True)
     monkeypatch.setattr(prepared_page, "flash_of_chip", lambda: BlockDevice(chip))
     for _ in range(3):
         pages = PreparedPages()
         pages.find()
         assert not pages.erase() and not pages.write(_RECORD)
-        before = len(flash.log)
-    assert before and len(flash.log) == before
+        log_length = len(flash.log)
+    assert log_length and len(flash.log) == log_length
     assert not any(chip.buffer.strip(b"\xff"))
 
 

@@ -66,8 +66,8 @@ class Bench:
                 for at in range(len(into)):
                     into[at] = bench.exchange(byte)
 
-            def read(self, count: int, byte: int) -> bytes:
-                return bytes(bench.exchange(byte) for _ in range(count))
+            def read(self, bytes_before: int, byte: int) -> bytes:
+                return bytes(bench.exchange(byte) for _ in range(bytes_before))
 
         self.pin, self.bus = Pin, Bus
 
@@ -87,15 +87,15 @@ class Bench:
 
 @pytest.fixture
 def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
-    yield from _wired(Bench(), monkeypatch)
+    yield from wire_up(Bench(), monkeypatch)
 
 
 @pytest.fixture
-def small(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
-    yield from _wired(Bench(is_large=False), monkeypatch)
+def byte_addressed(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
+    yield from wire_up(Bench(is_large=False), monkeypatch)
 
 
-def _wired(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
+def wire_up(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
     """Let the driver use this bench's bus and clock."""
     monkeypatch.setattr(sd_blocks, "SPI", bench.bus)
     monkeypatch.setattr(sd_blocks, "Pin", bench.pin)
@@ -104,13 +104,13 @@ def _wired(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
     yield bench
 
 
-def block_of(bench: Bench, number: int, count: int = 1) -> bytes:
-    return bytes(bench.card.image[number * BLOCK : (number + count) * BLOCK])
+def block_of(bench: Bench, number: int, bytes_before: int = 1) -> bytes:
+    return bytes(bench.card.image[number * BLOCK : (number + bytes_before) * BLOCK])
 
 
-@pytest.mark.parametrize("kind", ["bench", "small"])
+@pytest.mark.parametrize("kind", ["bench", "byte_addressed"])
 def test_written_blocks_are_read_back(kind: str, request: pytest.FixtureRequest) -> None:
-    """small: an old card, whose addresses count bytes, not blocks."""
+    """byte_addressed: an old card, whose addresses count bytes, not blocks."""
     bench: Bench = request.getfixturevalue(kind)
     driver = bench.driver()
     # 4: number of blocks, 5: their size
@@ -140,16 +140,16 @@ def test_the_bus_starts_slowly_and_continues_fast(bench: Bench) -> None:
 @some(50)
 def test_a_block_with_a_wrong_bit_is_read_again(bit: int, number: int) -> None:
     with pytest.MonkeyPatch.context() as patch:
-        for bench in _wired(Bench(), patch):
+        for bench in wire_up(Bench(), patch):
             driver = bench.driver()
-            bench.card.damage = once(bench, bit)
+            bench.card.damage = flip_bit_once(bench, bit)
             buffer = bytearray(BLOCK)
             driver.readblocks(number, buffer)
             assert buffer == block_of(bench, number)
             assert bench.card.read == 2
 
 
-def once(bench: Bench, bit: int) -> Any:
+def flip_bit_once(bench: Bench, bit: int) -> Any:
     """Return a function that inverts this bit of the next block read, and of no other."""
 
     def damage(block: bytes) -> bytes:
@@ -170,10 +170,10 @@ def test_a_block_that_is_always_read_wrong_is_a_fault(bench: Bench) -> None:
     # The file system's state is incomplete by then: nothing works until it is mounted again.
     bench.card.damage = lambda block: block
     assert driver.is_faulty and not driver.is_there()
-    count = bench.bytes
+    bytes_before = bench.bytes
     assert driver.readblocks(0, bytearray(BLOCK)) == -errno.EIO
     assert driver.writeblocks(0, bytes(BLOCK)) == -errno.EIO
-    assert bench.bytes == count
+    assert bench.bytes == bytes_before
 
 
 def test_a_refused_block_is_written_again(bench: Bench) -> None:
@@ -251,10 +251,10 @@ def test_after_end_nothing_is_written_or_raised(bench: Bench) -> None:
     """An open file writes when it is collected: it must not write to another card."""
     driver = bench.driver()
     driver.end()
-    image_before, count = bytes(bench.card.image), bench.bytes
+    image_before, bytes_before = bytes(bench.card.image), bench.bytes
     driver.writeblocks(0, bytes(BLOCK))
     driver.readblocks(0, bytearray(BLOCK))
-    assert bytes(bench.card.image) == image_before and bench.bytes == count
+    assert bytes(bench.card.image) == image_before and bench.bytes == bytes_before
     driver.begin()
     driver.writeblocks(0, bytes(BLOCK))
     assert block_of(bench, 0) == bytes(BLOCK)

@@ -18,5 +18,5 @@ for _ in range(8):
 
 @needs_micropython
 def test_answers_go_out_complete_and_in_order() -> None:
-    said = run_micropython(_SCRIPT, paths=[FIRMWARE]).split()
-    assert said == ["ok", "<Idle|MPos:0.000>", "x" * 700, "ok", "y" * 90]
+    sent_lines = run_micropython(_SCRIPT, paths=[FIRMWARE]).split()
+    assert sent_lines == ["ok", "<Idle|MPos:0.000>", "x" * 700, "ok", "y" * 90]

@@ -21,7 +21,7 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> NetBench:
     return NetBench(monkeypatch)
 
 
-def asked(bench: NetBench, *lines: str) -> list[str]:
+def ask_at_cable(bench: NetBench, *lines: str) -> list[str]:
     """Send lines at the cable; return the machine's answers."""
     answers: list[str] = []
 
@@ -34,7 +34,7 @@ def asked(bench: NetBench, *lines: str) -> list[str]:
     return answers
 
 
-def kept(bench: NetBench) -> dict[str, str]:
+def stored_network(bench: NetBench) -> dict[str, str]:
     """Return the stored network settings by name."""
     rows = (line.partition("=") for line in bench.store.files["network"])
     return {name: value for name, _, value in rows}
@@ -47,9 +47,9 @@ def test_the_machine_stores_what_the_tool_sends(bench: NetBench) -> None:
     wanted = wifi.Wanted(name, password, is_station=True, host="Router-1", port=2300)
     lines = list(wifi.orders(wanted))
     assert max(map(len, lines)) <= 79  # the longest line that Grbl accepts
-    answers = asked(bench, *lines)
+    answers = ask_at_cable(bench, *lines)
     assert answers.count("ok") == len(lines)
-    stored = kept(bench)
+    stored = stored_network(bench)
     assert binascii.unhexlify(stored["SSID"]).decode() == name
     assert binascii.unhexlify(stored["PASS"]).decode() == password
     assert (stored["HOST"], stored["PORT"], stored["MODE"]) == ("router-1", "2300", "station")
@@ -60,7 +60,9 @@ def test_no_answer_contains_the_network_name_or_password(bench: NetBench) -> Non
     """secrets: both also as hexadecimal digits, as they are stored."""
     secrets = ("Workshop", "Workshop".encode().hex().upper(), "hunter22", "68756E74")
     lines = wifi.orders(wifi.Wanted("Workshop", "hunter22", is_station=True))
-    answers = asked(bench, *lines, "$NET", "$$", "$I", "$I+", "$#", "$G", "$N", "$NET/PASS=1")
+    answers = ask_at_cable(
+        bench, *lines, "$NET", "$$", "$I", "$I+", "$#", "$G", "$N", "$NET/PASS=1"
+    )
     assert not [line for line in answers for word in secrets if word in line]
     assert KEY not in "".join(answers)
     # Senders that look for "ok" in a line must find it in answers only.
@@ -92,7 +94,7 @@ def test_no_answer_contains_the_network_name_or_password(bench: NetBench) -> Non
 )
 def test_an_invalid_setting_changes_nothing(bench: NetBench, line: str) -> None:
     before = list(bench.store.files["network"])
-    answers = asked(bench, line)
+    answers = ask_at_cable(bench, line)
     assert answers[-1] == "error:3" and answers[0].startswith("[MSG:")
     assert bench.store.files["network"] == before
 
@@ -101,28 +103,28 @@ def test_an_invalid_setting_changes_nothing(bench: NetBench, line: str) -> None:
 def test_an_access_point_never_loses_its_password(bench: NetBench, line: str) -> None:
     """Names and passwords are sent as hexadecimal digits; a password shorter than 8 bytes is
     refused."""
-    asked(bench, "$NET/SSID=41", "$NET/PASS=" + "41" * 8, "$NET/MODE=AP")
+    ask_at_cable(bench, "$NET/SSID=41", "$NET/PASS=" + "41" * 8, "$NET/MODE=AP")
     before = list(bench.store.files["network"])
-    answers = asked(bench, line)
+    answers = ask_at_cable(bench, line)
     assert answers[-1] == "error:3" and answers[0].startswith("[MSG:")
     assert bench.store.files["network"] == before
 
 
 def test_after_off_the_next_network_is_joined_and_not_made(bench: NetBench) -> None:
     """An access point is set up and removed by OFF; a later name is that of a network to join."""
-    asked(bench, "$NET/SSID=41", "$NET/PASS=" + "41" * 8, "$NET/MODE=AP", "$NET/OFF")
-    assert asked(bench, "$NET/SSID=42")[-1] == "ok"
-    assert "MODE" not in kept(bench)
+    ask_at_cable(bench, "$NET/SSID=41", "$NET/PASS=" + "41" * 8, "$NET/MODE=AP", "$NET/OFF")
+    assert ask_at_cable(bench, "$NET/SSID=42")[-1] == "ok"
+    assert "MODE" not in stored_network(bench)
 
 
 @pytest.mark.parametrize("password", ["", "hunter22"])
 def test_an_access_point_becomes_a_station_by_the_tool(bench: NetBench, password: str) -> None:
     """A station may join an open network, with an empty password."""
-    asked(bench, *wifi.orders(wifi.Wanted("Mine", "hunter22" * 2, is_station=False)))
-    assert kept(bench)["MODE"] == "ap"
-    answers = asked(bench, *wifi.orders(wifi.Wanted("Ours", password, is_station=True)))
+    ask_at_cable(bench, *wifi.orders(wifi.Wanted("Mine", "hunter22" * 2, is_station=False)))
+    assert stored_network(bench)["MODE"] == "ap"
+    answers = ask_at_cable(bench, *wifi.orders(wifi.Wanted("Ours", password, is_station=True)))
     assert not [line for line in answers if line.startswith("error:")]
-    assert (kept(bench)["MODE"], kept(bench)["PASS"]) == (
+    assert (stored_network(bench)["MODE"], stored_network(bench)["PASS"]) == (
         "station",
         password.encode().hex().upper(),
     )
@@ -167,7 +169,7 @@ def test_a_new_machine_makes_a_key_and_shows_it_once_at_the_cable(bench: NetBenc
     output: list[str] = []
     bench.sender.take = lambda: output.extend(lines := take()) or lines  # type: ignore[method-assign, func-returns-value]
     bench.run(script)
-    key = kept(bench)["KEY"]
+    key = stored_network(bench)["KEY"]
     assert len(key) == 8 and len(set(key)) > 2
     assert [line for line in output if key in line] == [f"[MSG:Network key: {key}]"]
 
@@ -234,16 +236,16 @@ def test_an_impossible_name_or_password_is_refused_in_words(wanted: wifi.Wanted)
 
 
 @pytest.mark.parametrize(
-    ("words", "why"),
+    ("options", "message"),
     [
         (["--open"], "--name"),
         (["--access-point", "--open", "--name", "x"], "password"),
         (["--off", "--name", "x"], "one of"),
     ],
 )
-def test_contradicting_options_are_refused(words: list[str], why: str) -> None:
-    done = CliRunner().invoke(app, ["wifi", "--port", "/nowhere", *words])
-    assert done.exit_code and why in done.output and "Traceback" not in done.output
+def test_contradicting_options_are_refused(options: list[str], message: str) -> None:
+    done = CliRunner().invoke(app, ["wifi", "--port", "/nowhere", *options])
+    assert done.exit_code and message in done.output and "Traceback" not in done.output
 
 
 # The radio
@@ -281,9 +283,9 @@ def test_a_station_reconnects_only_while_idle_and_not_all_the_time(clock: Simple
 
 def test_an_access_point_has_a_name_and_a_password(clock: SimpleNamespace) -> None:
     radio = Radio(b"Own", b"secret12", "router", is_station=False)
-    configured = radio._wlan.asked
-    assert (configured["ssid"], configured["key"]) == (b"Own", b"secret12")
-    assert configured["security"] == network.WLAN.SEC_WPA_WPA2
+    access_point = radio._wlan.asked
+    assert (access_point["ssid"], access_point["key"]) == (b"Own", b"secret12")
+    assert access_point["security"] == network.WLAN.SEC_WPA_WPA2
     radio.poll_radio(True)
     assert radio.status() == "access point, 192.168.4.1, router.local" and not radio._wlan.calls
 

@@ -257,40 +257,40 @@ def test_motors_stay_on_during_motion_slower_than_grbls(
 
 
 def test_motors_on_before_the_slow_line_are_a_failure() -> None:
-    made = {"setup": [], "steps": [_WAITS, {**_WAITS, "send": "G1X0.01F7\n"}, _WAITS]}
-    got = [{"out": out, "unpowered": False, "moving": True} for out in (_ON, {}, {})]
-    assert judge_motors(made, {"steps": got}, []) == ["step 0: motors"]
+    recording = {"setup": [], "steps": [_WAITS, {**_WAITS, "send": "G1X0.01F7\n"}, _WAITS]}
+    replayed_steps = [{"out": out, "unpowered": False, "moving": True} for out in (_ON, {}, {})]
+    assert judge_motors(recording, {"steps": replayed_steps}, []) == ["step 0: motors"]
 
 
 # The machine of a recording
 
 
-def case(*lines: str) -> dict[str, Any]:
+def recording_with(*lines: str) -> dict[str, Any]:
     step = {"send": "\x18", "wait": "banner", "t_ms": 1, "expect": [*lines]}
     return {"name": "a case", "init": "defaults", "setup": [], "steps": [step]}
 
 
-def boards(folder: Path, **files: dict[str, Any]) -> dict[str, str]:
+def boards_of(folder: Path, **files: dict[str, Any]) -> dict[str, str]:
     """Return the board of each file."""
     for name, content in files.items():
         (folder / f"{name}.json").write_text(json.dumps([content]))
     return {found.category: found.board for found in recordings.load(folder, None, None)}
 
 
-_OLD = case("Grbl 0.9j ['$' for help]")
+_RECORDING_09 = recording_with("Grbl 0.9j ['$' for help]")
 
 
 def test_the_dialect_follows_the_welcome_not_the_file_name(tmp_path: Path) -> None:
     """The board of a recording is chosen by its welcome: older= and the others are file names."""
-    board_of_file = boards(
+    board_of_file = boards_of(
         tmp_path,
-        mine=_OLD,
-        older=case("Grbl 0.9i ['$' for help]"),
-        grbl_0=case("[0.9j.20150717:]", "ok"),
-        corexy=_OLD,
-        safety_door_input=case("Grbl 1.1h ['$' for help]"),
-        punch_09=case("Grbl 0.9i ['$' for help]"),
-        plain=case("ok"),
+        mine=_RECORDING_09,
+        older=recording_with("Grbl 0.9i ['$' for help]"),
+        grbl_0=recording_with("[0.9j.20150717:]", "ok"),
+        corexy=_RECORDING_09,
+        safety_door_input=recording_with("Grbl 1.1h ['$' for help]"),
+        punch_09=recording_with("Grbl 0.9i ['$' for help]"),
+        plain=recording_with("ok"),
     )
     assert board_of_file == {
         "mine": "sim_09j",
@@ -304,13 +304,13 @@ def test_the_dialect_follows_the_welcome_not_the_file_name(tmp_path: Path) -> No
 
 
 def test_a_file_without_a_welcome_uses_the_dialect_of_its_folder(tmp_path: Path) -> None:
-    assert boards(tmp_path, a=_OLD, b=case("ok"))["b"] == "sim_09j"
+    assert boards_of(tmp_path, a=_RECORDING_09, b=recording_with("ok"))["b"] == "sim_09j"
 
 
 @pytest.mark.parametrize("text", ["Grbl 0.8c ['$' for help]", "[0.9j.20150717:]\nGrbl 1.1h ["])
 def test_an_unknown_or_mixed_dialect_is_refused(tmp_path: Path, text: str) -> None:
     with pytest.raises(ValueError, match=r"of Grbl 0\.8c|several Grbl versions: 0\.9j, 1\.1"):
-        boards(tmp_path, a=case(*text.split("\n")))
+        boards_of(tmp_path, a=recording_with(*text.split("\n")))
 
 
 def test_recordings_of_0_9_under_other_names_conform(tmp_path: Path) -> None:
@@ -335,7 +335,7 @@ def test_recordings_of_0_9_under_other_names_conform(tmp_path: Path) -> None:
 )
 def test_an_impossible_replay_is_explained(tmp_path: Path, options: list[str], why: str) -> None:
     """`ugrbl conformance` ends with an error message that names the cause, without a traceback."""
-    boards(tmp_path, a=case("ok"))
+    boards_of(tmp_path, a=recording_with("ok"))
     options = [word.replace("FOLDER", str(tmp_path)) for word in options]
     done = CliRunner().invoke(app, ["conformance", str(tmp_path), *options])
     assert done.exit_code == 1 and isinstance(done.exception, SystemExit)

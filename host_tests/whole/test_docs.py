@@ -43,7 +43,7 @@ def reference():
     return text_of(_ROOT / "docs" / "reference.md")
 
 
-def missing(names, text):
+def not_in_code(names, text):
     return [name for name in names if f"`{name}`" not in text]
 
 
@@ -75,7 +75,7 @@ def test_every_code_is_in_the_reference():
         for number in range(256)
         if any(is_grbls(letter, 10 * number + tenth) for tenth in range(10))
     }
-    assert missing(documented, reference()) == []
+    assert not_in_code(documented, reference()) == []
 
 
 def test_every_command_and_byte_is_in_the_reference():
@@ -87,7 +87,7 @@ def test_every_command_and_byte_is_in_the_reference():
     assert len(letters) == 10
     assert [letter for letter in letters if f"`${letter}" not in reference()] == []
     numbers = [realtime._SOFT_RESET, *state.EVENTS, *overrides._OVERRIDES]
-    assert missing([f"0x{number:02X}" for number in numbers], reference()) == []
+    assert not_in_code([f"0x{number:02X}" for number in numbers], reference()) == []
 
 
 def test_every_setting_has_a_comment_and_is_in_the_reference():
@@ -96,21 +96,21 @@ def test_every_setting_has_a_comment_and_is_in_the_reference():
 
     numbers = [row[0] for row in settings._TABLE]
     assert list(comments.setting_comments()) == numbers
-    assert missing([f"${number}" for number in numbers], reference()) == []
+    assert not_in_code([f"${number}" for number in numbers], reference()) == []
 
 
 def test_every_error_and_alarm_is_in_the_reference():
-    assert missing([f"error:{number}" for number in errors()], reference()) == []
-    assert missing([f"ALARM:{number}" for number in alarms()], reference()) == []
+    assert not_in_code([f"error:{number}" for number in errors()], reference()) == []
+    assert not_in_code([f"ALARM:{number}" for number in alarms()], reference()) == []
 
 
 def test_every_board_is_in_the_page_of_boards():
     files = [path.name for path in (_ROOT / "boards").glob("[!_]*.py")]
-    assert missing(files, text_of(_ROOT / "docs" / "boards.md")) == []
+    assert not_in_code(files, text_of(_ROOT / "docs" / "boards.md")) == []
 
 
 def test_every_board_option_is_in_the_reference():
-    assert missing(options.BY_NAME, reference()) == []
+    assert not_in_code(options.BY_NAME, reference()) == []
 
 
 def test_a_row_without_a_comment_is_named(monkeypatch):
@@ -160,14 +160,14 @@ def test_every_link_has_a_target(page):
 # Files and commands
 
 
-def codes(page):
+def code_of(page):
     """Return the code of a page: inline, and in indented lines."""
     return [one or other for one, other in _CODE.findall(_FENCE.sub("", text_of(page)))]
 
 
 @_each_page
 def test_every_named_file_exists(page):
-    named = {path for code in codes(page) for path in _PATH.findall(code)} - _WRITTEN_BY_READERS
+    named = {path for code in code_of(page) for path in _PATH.findall(code)} - _WRITTEN_BY_READERS
     assert [name for name in named if not (_ROOT / name).exists()] == []
 
 
@@ -193,7 +193,7 @@ _COMMANDS = known_commands()
 _TARGETS = set(re.findall(r"^([a-z-]+):", text_of(_ROOT / "Makefile"), re.MULTILINE))
 
 
-def wrong_words(line):
+def unknown_words(line):
     """Yield the commands and options in a line of code that do not exist.
 
     A command is one or two words after `ugrbl`, like `bench` or `jobs list`; or a make target.
@@ -212,15 +212,15 @@ def wrong_words(line):
 
 
 def test_unknown_words_are_found():
-    assert list(wrong_words("ugrbl bench")) == ["ugrbl bench"]
-    assert list(wrong_words(".venv/bin/ugrbl run x.nc --chek")) == ["run --chek"]
-    assert list(wrong_words("ugrbl settings pull router.settings --force")) == []
-    assert list(wrong_words("make everything")) == ["make everything"]
+    assert list(unknown_words("ugrbl bench")) == ["ugrbl bench"]
+    assert list(unknown_words(".venv/bin/ugrbl run x.nc --chek")) == ["run --chek"]
+    assert list(unknown_words("ugrbl settings pull router.settings --force")) == []
+    assert list(unknown_words("make everything")) == ["make everything"]
 
 
 @_each_page
 def test_every_command_exists(page):
-    assert [wrong for code in codes(page) for wrong in wrong_words(code)] == []
+    assert [wrong for code in code_of(page) for wrong in unknown_words(code)] == []
 
 
 def test_every_command_has_a_section_in_command_line():
@@ -246,7 +246,7 @@ def test_commands_of_the_workflows_exist(name):
     lines = [line.strip().removeprefix("- ").removeprefix("run: ") for line in text.splitlines()]
     called = [line for line in lines if re.match(r"(ugrbl|make|\.venv/bin/ugrbl) ", line)]
     assert called
-    assert [wrong for line in called for wrong in wrong_words(line)] == []
+    assert [wrong for line in called for wrong in unknown_words(line)] == []
 
 
 # Quotes of tool messages in troubleshooting.md, with … for variable parts
@@ -263,7 +263,7 @@ def quotes(heading):
     return [quote for row in rows for quote in re.findall(r"`([^`]+)`", row.split(" | ")[0])]
 
 
-def said_in(*folders):
+def texts_in(*folders):
     """Return every text in these modules as it is shown; variable parts become …."""
     texts = []
     for path in sorted(file for folder in folders for file in (_ROOT / folder).rglob("*.py")):
@@ -282,7 +282,7 @@ def test_quoted_messages_exist_in_the_tools(heading):
     """Each part of a quoted message between "…" must be in some text of the program."""
     quoted = quotes(heading)
     assert len(quoted) >= 8
-    texts = said_in("tools", "firmware")
+    texts = texts_in("tools", "firmware")
     parts = [part.strip() for quote in quoted for part in quote.split("…") if part.strip(" .:,")]
     assert [part for part in parts if not any(part in text for text in texts)] == []
 

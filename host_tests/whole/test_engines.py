@@ -3,10 +3,10 @@
 sim: the simulator's engine. pio: the words of firmware/pio, played by the timing that
 programs.py states. i2s, rmt: the whole engines on stand-ins of the ESP32's hardware.
 
-make(engine, move) returns a Made: a bench (planner and segments) with an engine, and planned
-motion by its name in moves(). made.go() executes it. clock.work(us): the CPU is busy, and no timer
-is served. STATED: an engine's tolerances by its name, in us: steps may come `early` and `late`,
-motion may pause for `gap`, axes may drift `apart`; in ms: hold_ms, lock_ms.
+make(engine, move) returns an EngineRig: a bench (planner and segments) with an engine, and planned
+motion by its name in moves(). rig.run_to_end() executes it. clock.work(us): the CPU is busy, and
+no timer is served. TOLERANCES: those an engine states, by its name, in us: steps may come `early`
+and `late`, motion may pause for `gap`, axes may drift `apart`; in ms: hold_ms, lock_ms.
 
 A segment is an array, a "row": ROW_TICKS its duration, ROW_DIRS a bit per motor (1: negative),
 ROW_POWER the laser's power, and from ROW_AXES on, ROW_STRIDE values per motor: its number of
@@ -40,7 +40,7 @@ _PULSE_US = 10  # length of a step pulse, $0
 
 
 @dataclass
-class Stated:
+class Tolerances:
     """An engine's stated tolerances, in us: README and board files state the same."""
 
     early: float  # how much earlier than planned a step may come after the one before
@@ -51,12 +51,12 @@ class Stated:
     lock_ms: float = 0.0  # how long a locked axis continues
 
 
-STATED = {
-    "sim": Stated(0.1, 0.1, 0, 0.1, 60),
-    "pio": Stated(0.2, 0.2, 0, 0.2, 10),
-    "i2s": Stated(17, 17, 0, 17, 40, 33),
-    "rmt": Stated(60, 60, 600, 100, 50),
-    "rmt_s3": Stated(60, 60, 600, 100, 50),
+TOLERANCES = {
+    "sim": Tolerances(0.1, 0.1, 0, 0.1, 60),
+    "pio": Tolerances(0.2, 0.2, 0, 0.2, 10),
+    "i2s": Tolerances(17, 17, 0, 17, 40, 33),
+    "rmt": Tolerances(60, 60, 600, 100, 50),
+    "rmt_s3": Tolerances(60, 60, 600, 100, 50),
 }
 _TURN_US = 14  # additional delay of all axes for a reversal
 ENGINES = ("sim", "i2s", "rmt", "rmt_s3", "pio")
@@ -65,7 +65,7 @@ ESP = ("i2s", "rmt", "rmt_s3")  # rmt_s3: on an ESP32-S3, with smaller channels
 MOST_MOTORS = {"rmt": 4, "rmt_s3": 4, "i2s": 6}  # others: 8
 
 
-class Made:
+class EngineRig:
     """A bench with an engine, and the steps that it made."""
 
     def __init__(self, name: str, limits: Limits) -> None:
@@ -84,25 +84,25 @@ class Made:
             self.engine = SimEngine(motors)
             hz, log2, most = SimEngine.tick_hz, 17, 90_909  # 1 / (10 us pulse + 1 us pause)
         limits.step_hz = min(limits.step_hz, most)
-        self.us = 1_000_000 / hz  # of a tick
+        self.tick_us = 1_000_000 / hz  # of a tick
         self.bench = Bench(limits, 64, hz, log2)  # 64 planner blocks
         self.steps: list[Step] = []  # (us, axis, sign)
         self.powers: list[int] = []  # spindle power, as reported by the engine
         if name != "pio":
-            self.rests = 0  # how often the engine has reported the end of motion
-            self.engine.attach(self.bench.segments.next, self.powers.append, self._rest)
+            self.ends_reported = 0  # how often the engine has reported the end of motion
+            self.engine.attach(self.bench.segments.next, self.powers.append, self._on_motion_end)
             self.engine.arm()
             self.engine.configure(_PULSE_US, 0, 0)  # no output is inverted
             self.engine.trace = self._trace
 
-    def _rest(self) -> None:
+    def _on_motion_end(self) -> None:
         assert self.engine.idle(), "rest is reported too early"
-        self.rests += 1
+        self.ends_reported += 1
 
     def _trace(self, start: int, row: "array[int]") -> None:
         """Add the steps of a row that the engine executes from tick `start` on."""
         steps = [  # ns, so that sorting is exact
-            (int((start + step_tick(row, base, k)) * self.us * 1000), axis, sign)
+            (int((start + step_tick(row, base, k)) * self.tick_us * 1000), axis, sign)
             for axis in range((len(row) - ROW_AXES) // ROW_STRIDE)
             for base in [ROW_AXES + ROW_STRIDE * axis]
             for sign in [-1 if row[ROW_DIRS] >> axis & 1 else 1]
@@ -113,27 +113,27 @@ class Made:
     def run(self, milliseconds: float = 60_000) -> None:
         """Run the engine until it is idle, or for this time; the PIO's always to its end."""
         if self.name == "pio":
-            self.steps += _play_words(self.bench, self.us)
+            self.steps += _play_words(self.bench, self.tick_us)
             return
-        end = self.engine.now + int(milliseconds * 1000 / self.us)
+        end = self.engine.now + int(milliseconds * 1000 / self.tick_us)
         while not self.engine.idle() and self.engine.now < end:
-            self.engine.advance(min(self.engine.now + int(500 / self.us), end))
+            self.engine.advance(min(self.engine.now + int(500 / self.tick_us), end))
 
-    def go(self) -> "Made":
+    def run_to_end(self) -> "EngineRig":
         """Execute everything planned."""
         if self.name != "pio":
             self.engine.start()
         self.run()
         return self
 
-    def places(self) -> "list[int]":
+    def counted_steps(self) -> "list[int]":
         """Return the position in steps: the sum of the steps made, per motor."""
         steps_by_axis = [0] * self.bench.planner.motors
         for _, axis, sign in self.steps:
             steps_by_axis[axis] += sign
         return steps_by_axis
 
-    def position(self) -> "list[int]":
+    def reported_steps(self) -> "list[int]":
         """Return the motors' position as the engine reports it."""
         steps = array("i", [0] * self.bench.planner.motors)
         self.engine.position(steps)
@@ -235,33 +235,35 @@ def _ganged(letters: str) -> Limits:
 MOVES = moves()
 
 
-def make(engine: str, move: str) -> Made:
+def make(engine: str, move: str) -> EngineRig:
     """Return a bench with the engine and this motion planned, not started. move: of moves()."""
     limits, lines = moves()[move]
     if len(limits.moves or limits.rate) > MOST_MOTORS.get(engine, 8):
         pytest.skip(f"{engine} has fewer motors")
-    made = Made(engine, limits)
+    rig = EngineRig(engine, limits)
     for target, feed in lines:
-        made.bench.line(target, feed * 60)  # mm/min
-    return made
+        rig.bench.line(target, feed * 60)  # mm/min
+    return rig
 
 
 Planned = "list[list[tuple[float, int]]]"
 
 
-def planned(made: Made) -> "list[list[tuple[float, int]]]":
+def planned(rig: EngineRig) -> "list[list[tuple[float, int]]]":
     """Return a list per axis of the planned steps, as (us, sign)."""
-    steps_by_axis: list[list[tuple[float, int]]] = [[] for _ in range(made.bench.planner.motors)]
-    for segment in made.bench.watch.made:
+    steps_by_axis: list[list[tuple[float, int]]] = [[] for _ in range(rig.bench.planner.motors)]
+    for segment in rig.bench.watch.made:
         for axis, steps in enumerate(steps_by_axis):
             base = ROW_AXES + ROW_STRIDE * axis
             sign = -1 if segment.row[ROW_DIRS] >> axis & 1 else 1
             for k in range(segment.row[base]):
-                steps.append(((segment.start + step_tick(segment.row, base, k)) * made.us, sign))
+                steps.append(
+                    ((segment.start + step_tick(segment.row, base, k)) * rig.tick_us, sign)
+                )
     return steps_by_axis
 
 
-def of_axis(steps: "list[Step]", axis: int) -> "list[tuple[float, int]]":
+def steps_of_axis(steps: "list[Step]", axis: int) -> "list[tuple[float, int]]":
     return [(us, sign) for us, i, sign in steps if i == axis]
 
 
@@ -269,61 +271,63 @@ def of_axis(steps: "list[Step]", axis: int) -> "list[tuple[float, int]]":
 @pytest.mark.parametrize("move", MOVES)
 @pytest.mark.parametrize("engine", ENGINES)
 def test_steps_are_those_planned_in_order(engine: str, move: str) -> None:
-    made = make(engine, move).go()
-    for axis, steps in enumerate(planned(made)):
-        assert [sign for _, sign in of_axis(made.steps, axis)] == [sign for _, sign in steps]
+    rig = make(engine, move).run_to_end()
+    for axis, steps in enumerate(planned(rig)):
+        assert [sign for _, sign in steps_of_axis(rig.steps, axis)] == [sign for _, sign in steps]
 
 
 @pytest.mark.sampled(20)
 @pytest.mark.parametrize("move", MOVES)
 @pytest.mark.parametrize("engine", ENGINES)
 def test_steps_come_within_the_stated_tolerance(engine: str, move: str) -> None:
-    """late_us: of each step against the plan. It may change from step to step within STATED; and
-    all axes must be late together.
+    """late_us: of each step against the plan. It may change from step to step within TOLERANCES;
+    and all axes must be late together.
     """
-    made = make(engine, move).go()
-    stated = STATED[engine]
+    rig = make(engine, move).run_to_end()
+    tolerances = TOLERANCES[engine]
     tracks = []
-    for axis, steps in enumerate(planned(made)):
-        real = of_axis(made.steps, axis)
+    for axis, steps in enumerate(planned(rig)):
+        real = steps_of_axis(rig.steps, axis)
         late_us = [us - due for (us, _), (due, _) in zip(real, steps, strict=True)]
         for k, (before, after) in enumerate(pairwise(late_us)):
             turn = _TURN_US if steps[k][1] != steps[k + 1][1] else 0
-            allowed = stated.late + stated.gap + turn
+            allowed = tolerances.late + tolerances.gap + turn
             # The law of the motor: no interval is shorter, or longer, than stated.
-            assert -stated.early <= after - before <= allowed, f"axis {axis}, step {k}"
+            assert -tolerances.early <= after - before <= allowed, f"axis {axis}, step {k}"
         tracks.append(list(zip([due for due, _ in steps], late_us, strict=True)))
     # Each axis against the next one that moves: (planned us, late us) of all their steps.
     for a, b in pairwise([track for track in tracks if track]):
-        _check_together(a, b, stated.apart + stated.gap + 2 * _TURN_US)
+        check_late_together(a, b, tolerances.apart + tolerances.gap + 2 * _TURN_US)
 
 
-@pytest.mark.parametrize("slow", [0, 1])
+@pytest.mark.parametrize("late_axis", [0, 1])
 @pytest.mark.parametrize("engine", ["rmt", "rmt_s3"])
 def test_a_late_train_shortens_no_interval(
-    engine: str, slow: int, monkeypatch: pytest.MonkeyPatch
+    engine: str, late_axis: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The motor waits and does not catch up when flash or a radio delays a train's start.
 
-    slow: the axis whose fourth and seventh train start 7 ms late.
+    late_axis: the one whose fourth and seventh train start 7 ms late.
     """
     write = esp32.RMT.write_pulses
 
     def delayed_write(channel: esp32.RMT, durations: "list[int]", data: object = True) -> None:
-        if channel is esp32.RMT.channels[slow] and len(channel.trains) in (3, 6):
+        if channel is esp32.RMT.channels[late_axis] and len(channel.trains) in (3, 6):
             clock.work(7000)
         write(channel, durations, data)
 
     monkeypatch.setattr(esp32.RMT, "write_pulses", delayed_write)
-    made = make(engine, "diagonal").go()
-    assert len(esp32.RMT.channels[slow].trains) > 7  # so two of them were late
-    for axis, steps in enumerate(planned(made)):
-        late_us = [us - due for (us, _), (due, _) in zip(of_axis(made.steps, axis), steps)]
+    rig = make(engine, "diagonal").run_to_end()
+    assert len(esp32.RMT.channels[late_axis].trains) > 7  # so two of them were late
+    for axis, steps in enumerate(planned(rig)):
+        late_us = [us - due for (us, _), (due, _) in zip(steps_of_axis(rig.steps, axis), steps)]
         assert len(late_us) == len(steps)
-        assert all(b - a >= -STATED[engine].early for a, b in pairwise(late_us)), f"axis {axis}"
+        assert all(b - a >= -TOLERANCES[engine].early for a, b in pairwise(late_us)), (
+            f"axis {axis}"
+        )
 
 
-def _check_together(
+def check_late_together(
     a: "list[tuple[float, float]]", b: "list[tuple[float, float]]", allowed: float
 ) -> None:
     """Check that axes are late together, because then the path is the planned one.
@@ -346,8 +350,8 @@ def _check_together(
 @pytest.mark.parametrize("engine", ESP)
 def test_drivers_get_the_times_they_need(engine: str, move: str) -> None:
     """Pins' levels: pulse and pause of step, direction before and after a step; all in us."""
-    made = make(engine, move).go()
-    for levels in made.engine.pins.levels:
+    rig = make(engine, move).run_to_end()
+    for levels in rig.engine.pins.levels:
         assert levels.shortest_pulse >= _PULSE_US
         assert levels.shortest_pause >= 2  # us
         assert levels.shortest_setup >= 8, "direction to step"
@@ -357,52 +361,56 @@ def test_drivers_get_the_times_they_need(engine: str, move: str) -> None:
 @pytest.mark.parametrize("engine", WHOLE)
 def test_position_matches_the_steps_at_any_time(engine: str) -> None:
     """Compare the engine's count with the steps at the pins each 3.7 ms, and at the end."""
-    made = make(engine, "reversals")
-    made.engine.start()
-    while not made.engine.idle():
-        made.run(3.7)  # ms
+    rig = make(engine, "reversals")
+    rig.engine.start()
+    while not rig.engine.idle():
+        rig.run(3.7)  # ms
         if engine != "sim":  # its trace shows whole segments only
-            differences = [abs(a - b) for a, b in zip(made.position(), made.places(), strict=True)]
+            differences = [
+                abs(a - b) for a, b in zip(rig.reported_steps(), rig.counted_steps(), strict=True)
+            ]
             assert max(differences) <= 1  # step: its pulse may be under way
-    assert made.position() == made.places()
+    assert rig.reported_steps() == rig.counted_steps()
 
 
 @pytest.mark.parametrize("after_ms", [15, 90, 160, 233])
 @pytest.mark.parametrize("engine", WHOLE)
 def test_a_stop_is_immediate_and_leaves_a_position(engine: str, after_ms: float) -> None:
     """No step comes more than 30 us after the stop, and the count is right to one step."""
-    made = make(engine, "fast")
-    made.engine.start()
-    made.run(after_ms)
-    made.engine.stop()
-    stopped_us = made.engine.now * made.us
-    made.engine.advance(made.engine.now + int(100_000 / made.us))  # 100 ms
-    assert made.engine.idle()
-    assert all(us <= stopped_us + 30 for us, *_ in made.steps)
-    differences = [abs(a - b) for a, b in zip(made.position(), made.places(), strict=True)]
+    rig = make(engine, "fast")
+    rig.engine.start()
+    rig.run(after_ms)
+    rig.engine.stop()
+    stopped_us = rig.engine.now * rig.tick_us
+    rig.engine.advance(rig.engine.now + int(100_000 / rig.tick_us))  # 100 ms
+    assert rig.engine.idle()
+    assert all(us <= stopped_us + 30 for us, *_ in rig.steps)
+    differences = [
+        abs(a - b) for a, b in zip(rig.reported_steps(), rig.counted_steps(), strict=True)
+    ]
     assert max(differences) <= 1
 
 
 @pytest.mark.parametrize("engine", WHOLE)
 def test_motion_continues_after_a_stop(engine: str) -> None:
     """A line planned after a stop, from a position set to 0, makes its own steps only."""
-    made = make(engine, "fast")
-    made.engine.start()
-    made.run(100)  # ms
-    made.engine.stop()
-    bench = made.bench
+    rig = make(engine, "fast")
+    rig.engine.start()
+    rig.run(100)  # ms
+    rig.engine.stop()
+    bench = rig.bench
     # What the firmware does after a reset: nothing is planned, and the position is 0.
-    made.engine.arm()
+    rig.engine.arm()
     bench.planner.clear()
     bench.segments.clear()
     bench.planner.sync_motors(array("i", [0, 0, 0]))
-    made.engine.set_position(array("i", [0, 0, 0]))
-    made.engine.advance(made.engine.now + int(1000 / made.us))  # 1 ms
-    before = made.places()
+    rig.engine.set_position(array("i", [0, 0, 0]))
+    rig.engine.advance(rig.engine.now + int(1000 / rig.tick_us))  # 1 ms
+    before = rig.counted_steps()
     bench.line((3.0, 2.0, -0.25), feed=1200.0)
-    made.go()
-    assert made.position() == [240, 160, -100]  # 80, 80 and 400 steps/mm
-    moved = [b - a for a, b in zip(before, made.places(), strict=True)]
+    rig.run_to_end()
+    assert rig.reported_steps() == [240, 160, -100]  # 80, 80 and 400 steps/mm
+    moved = [b - a for a, b in zip(before, rig.counted_steps(), strict=True)]
     # Of the stopped motion, one step may still come.
     assert all(abs(a - b) <= 1 for a, b in zip(moved, [240, 160, -100], strict=True)), moved
 
@@ -410,90 +418,90 @@ def test_motion_continues_after_a_stop(engine: str) -> None:
 @pytest.mark.parametrize("engine", WHOLE)
 def test_a_locked_axis_stands_still_and_the_others_arrive(engine: str) -> None:
     """As in homing: an axis at its switch stops, the others go on to the end of their motion."""
-    made = make(engine, "slow")
-    made.engine.start()
-    made.run(200)  # ms
-    made.engine.lock(0b001)  # a mask of motors: X
-    at_lock = made.position()[0]
-    made.run(STATED[engine].lock_ms + 2)
-    locked = made.places()[0]
-    made.run()
-    assert made.places()[0] == locked
-    planned_steps = [sum(sign for _, sign in steps) for steps in planned(made)]
-    assert made.places()[1:] == made.position()[1:] == planned_steps[1:]
+    rig = make(engine, "slow")
+    rig.engine.start()
+    rig.run(200)  # ms
+    rig.engine.lock(0b001)  # a mask of motors: X
+    at_lock = rig.reported_steps()[0]
+    rig.run(TOLERANCES[engine].lock_ms + 2)
+    locked = rig.counted_steps()[0]
+    rig.run()
+    assert rig.counted_steps()[0] == locked
+    planned_steps = [sum(sign for _, sign in steps) for steps in planned(rig)]
+    assert rig.counted_steps()[1:] == rig.reported_steps()[1:] == planned_steps[1:]
     # A train under way at lock() may have ended later. The next motion first takes these steps
     # back, so position(), the engine's count, is that of the lock.
-    made.engine.stop()
-    made.engine.arm()
-    assert made.position()[0] == at_lock
-    made.bench.planner.clear()
-    made.bench.planner.sync_motors(array("i", made.position()))
-    made.bench.line((0.5, 0.5, 0.5), 60.0)
-    made.go()
-    assert made.places() == made.position() == [125, 125, 125]  # 250 steps/mm * 0.5 mm
+    rig.engine.stop()
+    rig.engine.arm()
+    assert rig.reported_steps()[0] == at_lock
+    rig.bench.planner.clear()
+    rig.bench.planner.sync_motors(array("i", rig.reported_steps()))
+    rig.bench.line((0.5, 0.5, 0.5), 60.0)
+    rig.run_to_end()
+    assert rig.counted_steps() == rig.reported_steps() == [125, 125, 125]  # 250 steps/mm * 0.5 mm
 
 
 @pytest.mark.parametrize("engine", WHOLE)
 def test_a_motor_locked_at_rest_stays_and_keeps_its_position(engine: str) -> None:
     """The lock lasts for one motion. Positions begin at 70, 80, 90 and 100 steps."""
-    made = make(engine, "two on Y")
-    made.engine.lock(0b0010)  # the first motor of Y; the last motor is Y's, too
-    made.engine.set_position(array("i", [70, 80, 90, 100]))
-    made.go()
-    planned_steps = [sum(sign for _, sign in steps) for steps in planned(made)]
+    rig = make(engine, "two on Y")
+    rig.engine.lock(0b0010)  # the first motor of Y; the last motor is Y's, too
+    rig.engine.set_position(array("i", [70, 80, 90, 100]))
+    rig.run_to_end()
+    planned_steps = [sum(sign for _, sign in steps) for steps in planned(rig)]
     assert (
-        made.places() == [planned_steps[0], 0, planned_steps[2], planned_steps[3]]
+        rig.counted_steps() == [planned_steps[0], 0, planned_steps[2], planned_steps[3]]
         and planned_steps[3]
     )
     positions = [70 + planned_steps[0], 80, 90 + planned_steps[2], 100 + planned_steps[3]]
-    assert made.position() == positions
-    made.engine.stop()
-    made.engine.arm()
-    assert made.position() == positions
-    before = made.places()
-    made.bench.planner.clear()
-    made.bench.line((1.0, 1.0, 1.0), 600.0)
-    made.bench.line((2.0, 2.0, 2.0), 600.0)
-    made.go()
-    moved = [now - then for now, then in zip(made.places(), before, strict=True)]
+    assert rig.reported_steps() == positions
+    rig.engine.stop()
+    rig.engine.arm()
+    assert rig.reported_steps() == positions
+    before = rig.counted_steps()
+    rig.bench.planner.clear()
+    rig.bench.line((1.0, 1.0, 1.0), 600.0)
+    rig.bench.line((2.0, 2.0, 2.0), 600.0)
+    rig.run_to_end()
+    moved = [now - then for now, then in zip(rig.counted_steps(), before, strict=True)]
     assert moved[1] == moved[3] and moved[1], "the motor must move again"
 
 
 @pytest.mark.parametrize("engine", WHOLE)
 def test_a_hold_comes_to_rest_within_the_stated_time_and_loses_nothing(engine: str) -> None:
     """Hold after 250 ms, and resume: the end is the planned one, in steps."""
-    made = make(engine, "diagonal")
-    made.engine.start()
-    made.run(250)  # ms
-    made.bench.segments.hold(True)
-    asked_us = made.engine.now * made.us
-    made.run()
-    steps_at_rest = made.places()
-    assert made.position() == steps_at_rest
+    rig = make(engine, "diagonal")
+    rig.engine.start()
+    rig.run(250)  # ms
+    rig.bench.segments.hold(True)
+    asked_us = rig.engine.now * rig.tick_us
+    rig.run()
+    steps_at_rest = rig.counted_steps()
+    assert rig.reported_steps() == steps_at_rest
     brake_ms = 15.0 / 200.0 * 1000  # speed / acceleration
-    last_step_us = max(us for us, *_ in made.steps)
+    last_step_us = max(us for us, *_ in rig.steps)
     # 60 % more than the shortest braking, and the motion that the engine holds already.
-    assert last_step_us - asked_us <= (brake_ms * 1.6 + STATED[engine].hold_ms) * 1000
-    made.bench.segments.hold(False)
-    made.go()
-    assert made.position() == made.places() == [1500, 1075, -425]
+    assert last_step_us - asked_us <= (brake_ms * 1.6 + TOLERANCES[engine].hold_ms) * 1000
+    rig.bench.segments.hold(False)
+    rig.run_to_end()
+    assert rig.reported_steps() == rig.counted_steps() == [1500, 1075, -425]
 
 
 @pytest.mark.parametrize("engine", WHOLE)
 def test_power_is_reported_with_the_segments(engine: str) -> None:
     """Each four segments get a higher power; the engine must report them in this order."""
-    made = make(engine, "diagonal")
+    rig = make(engine, "diagonal")
     powers = iter(range(1, 10_000))
-    next_segment = made.bench.segments.next
+    next_segment = rig.bench.segments.next
 
     def with_power(row: "array[int]") -> int:
         has_row = next_segment(row)
         row[ROW_POWER] = next(powers) // 4  # 0, 0, 0, 1, 1, 1, 1, 2 …
         return has_row
 
-    made.engine.attach(with_power, made.powers.append, made._rest)
-    made.go()
-    reported = [power for power, _ in zip(made.powers, made.powers, strict=True)]
+    rig.engine.attach(with_power, rig.powers.append, rig._on_motion_end)
+    rig.run_to_end()
+    reported = [power for power, _ in zip(rig.powers, rig.powers, strict=True)]
     assert reported == sorted(reported)
     assert len(set(reported)) >= 5
 
@@ -505,10 +513,10 @@ def test_power_after_motion_is_the_last_segments(engine: str) -> None:
     Here each segment has a power that is lower by 7; nothing may be reported after the last one.
     """
     for length in (0.1, 0.5, 1.5, 3.0):
-        made = Made(engine, Limits(acceleration=(200.0,) * 3, rate=(3000.0,) * 3))
-        made.bench.line((length, 0.0, 0.0), 1200.0)
+        rig = EngineRig(engine, Limits(acceleration=(200.0,) * 3, rate=(3000.0,) * 3))
+        rig.bench.line((length, 0.0, 0.0), 1200.0)
         powers: list[int] = []
-        next_segment = made.bench.segments.next
+        next_segment = rig.bench.segments.next
 
         def with_power(
             row: "array[int]", next_segment: Any = next_segment, powers: Any = powers
@@ -520,37 +528,37 @@ def test_power_after_motion_is_the_last_segments(engine: str) -> None:
             powers.extend([row[ROW_POWER]] * has_row)
             return has_row
 
-        made.engine.attach(with_power, made.powers.append, made._rest)
-        made.go()
-        assert made.powers[-1] == powers[-1]
-        reports = len(made.powers)
-        made.engine.advance(made.engine.now + int(100_000 / made.us))  # 100 ms
-        assert len(made.powers) == reports
+        rig.engine.attach(with_power, rig.powers.append, rig._on_motion_end)
+        rig.run_to_end()
+        assert rig.powers[-1] == powers[-1]
+        reports = len(rig.powers)
+        rig.engine.advance(rig.engine.now + int(100_000 / rig.tick_us))  # 100 ms
+        assert len(rig.powers) == reports
 
 
 @pytest.mark.parametrize("after_ms", [1, 5, 20, 33, 41, 120])
 @pytest.mark.parametrize("engine", WHOLE)
 def test_no_power_is_reported_after_a_stop(engine: str, after_ms: float) -> None:
     """Each segment has another power; after stop(), neither power nor position changes."""
-    made = make(engine, "fast")
+    rig = make(engine, "fast")
     powers = iter(range(1, 10_000))
-    next_segment = made.bench.segments.next
+    next_segment = rig.bench.segments.next
 
     def with_power(row: "array[int]") -> int:
         has_row = next_segment(row)
         row[ROW_POWER] = next(powers)
         return has_row
 
-    made.engine.attach(with_power, made.powers.append, made._rest)
-    made.engine.start()
-    made.run(after_ms)
-    made.engine.stop()
-    reports, position = len(made.powers), made.position()
+    rig.engine.attach(with_power, rig.powers.append, rig._on_motion_end)
+    rig.engine.start()
+    rig.run(after_ms)
+    rig.engine.stop()
+    reports, position = len(rig.powers), rig.reported_steps()
     for _ in range(50):
-        made.engine.advance(made.engine.now + int(2000 / made.us))  # 2 ms
-        assert made.engine.idle()
-        assert made.position() == position
-    assert len(made.powers) == reports
+        rig.engine.advance(rig.engine.now + int(2000 / rig.tick_us))  # 2 ms
+        assert rig.engine.idle()
+        assert rig.reported_steps() == position
+    assert len(rig.powers) == reports
 
 
 def awkward_rows(seed: int, tick_hz: int, count: int) -> "list[array[int]]":
@@ -559,17 +567,17 @@ def awkward_rows(seed: int, tick_hz: int, count: int) -> "list[array[int]]":
     gap: ticks between steps (50, 110 or 900 us); row[base] to row[base + 2]: the number of steps,
     the tick of the first, and of the last.
     """
-    chance = random.Random(seed)
+    random_numbers = random.Random(seed)
     rows = []
     for _ in range(count):
         row = array("i", [0] * row_length(3))
-        gap = chance.choice((50, 110, 900)) * tick_hz // 1_000_000
-        steps = chance.choice((1, 2, 40))
+        gap = random_numbers.choice((50, 110, 900)) * tick_hz // 1_000_000
+        steps = random_numbers.choice((1, 2, 40))
         ticks = row[ROW_TICKS] = gap * steps
-        row[ROW_DIRS] = chance.randrange(8)
+        row[ROW_DIRS] = random_numbers.randrange(8)
         for base in range(ROW_AXES, len(row), ROW_STRIDE):
-            row[base] = chance.randint(0, steps)
-            row[base + 1] = chance.choice((0, 1, gap)) if row[base] else 0
+            row[base] = random_numbers.randint(0, steps)
+            row[base + 1] = random_numbers.choice((0, 1, gap)) if row[base] else 0
             row[base + 2] = ticks if row[base] > 1 else row[base + 1]
         rows.append(row)
     return rows
@@ -579,8 +587,8 @@ def awkward_rows(seed: int, tick_hz: int, count: int) -> "list[array[int]]":
 @pytest.mark.parametrize("engine", ESP)
 def test_awkward_segments_are_complete_and_in_order(engine: str, seed: int) -> None:
     """All steps are made, and pulse, pause, setup and hold times in us are those of drivers."""
-    made = Made(engine, Limits())
-    rows = awkward_rows(seed, made.engine.tick_hz, 60)
+    rig = EngineRig(engine, Limits())
+    rows = awkward_rows(seed, rig.engine.tick_hz, 60)
     rows_left = list(rows)
 
     def next_segment(row: "array[int]") -> int:
@@ -589,14 +597,14 @@ def test_awkward_segments_are_complete_and_in_order(engine: str, seed: int) -> N
             return 1
         return 0
 
-    made.engine.attach(next_segment, made.powers.append, made._rest)
-    made.go()
+    rig.engine.attach(next_segment, rig.powers.append, rig._on_motion_end)
+    rig.run_to_end()
     for axis in range(3):
         base = ROW_AXES + ROW_STRIDE * axis
         signs = [-1 if row[ROW_DIRS] >> axis & 1 else 1 for row in rows for _ in range(row[base])]
-        assert [sign for _, sign in of_axis(made.steps, axis)] == signs
-    assert made.position() == made.places()
-    for levels in made.engine.pins.levels:
+        assert [sign for _, sign in steps_of_axis(rig.steps, axis)] == signs
+    assert rig.reported_steps() == rig.counted_steps()
+    for levels in rig.engine.pins.levels:
         assert levels.shortest_pulse >= _PULSE_US
         assert levels.shortest_pause >= 2
         assert levels.shortest_setup >= 10
@@ -606,39 +614,39 @@ def test_awkward_segments_are_complete_and_in_order(engine: str, seed: int) -> N
 @pytest.mark.parametrize("late_us", range(30_000, 60_000, 7000))
 def test_i2s_keeps_the_setup_time_after_it_has_run_empty(late_us: int) -> None:
     """Directions precede steps also after the CPU was busy for too long for the stream."""
-    made = Made("i2s", Limits())
+    rig = EngineRig("i2s", Limits())
 
     def next_segment(row: "array[int]") -> int:
         # 1600 ticks, all backwards, power 0; each axis: 2 steps, the first at tick 10
         row[:] = array("i", [1600, 7, 0, *([2, 10, 810] * 3)])
         return 1
 
-    made.engine.attach(next_segment, made.powers.append, made._rest)
-    made.engine.start()
-    made.run(100)
-    for levels in made.engine.pins.levels:
+    rig.engine.attach(next_segment, rig.powers.append, rig._on_motion_end)
+    rig.engine.start()
+    rig.run(100)
+    for levels in rig.engine.pins.levels:
         levels.shortest_setup = 1_000_000  # us; measured anew from here
     for _ in range(5):
         clock.work(late_us)
-        made.run(41)  # ms
-    made.engine.stop()
-    made.run(1)
-    for levels in made.engine.pins.levels:
+        rig.run(41)  # ms
+    rig.engine.stop()
+    rig.run(1)
+    for levels in rig.engine.pins.levels:
         # us: directions, lost when the stream runs empty, are set long before steps go on.
         assert levels.shortest_setup >= 1000
-    assert all(sign < 0 for _, _, sign in made.steps)
+    assert all(sign < 0 for _, _, sign in rig.steps)
 
 
 def test_i2s_loses_nothing_after_an_underrun() -> None:
     """An underrun: the CPU is away for so long that the stream has nothing left to play."""
-    made = make("i2s", "diagonal")
-    made.engine.start()
-    made.run(200)  # ms
+    rig = make("i2s", "diagonal")
+    rig.engine.start()
+    rig.run(200)  # ms
     clock.work(80_000)  # us: flash, or a very long garbage collection
-    made.run()
-    assert made.engine.real.underrun_count() == 1
-    assert made.position() == made.places() == [1500, 1075, -425]
-    for levels in made.engine.pins.levels:
+    rig.run()
+    assert rig.engine.real.underrun_count() == 1
+    assert rig.reported_steps() == rig.counted_steps() == [1500, 1075, -425]
+    for levels in rig.engine.pins.levels:
         assert levels.shortest_setup >= 8
         assert levels.shortest_pulse >= 8
 
@@ -648,50 +656,50 @@ def test_i2s_drives_the_motors_enable_outputs() -> None:
 
     They reach the pins with the stream, within 100 ms. A tick is half a microsecond.
     """
-    made = Made("i2s", Limits())
+    rig = EngineRig("i2s", Limits())
     enables = sum(1 << output for output in I2S_ENABLE)
-    made.engine.real.enable(1)
-    made.engine.advance(made.engine.now + 200_000)  # 100 ms
-    assert made.engine.pins.outputs() & enables == enables
-    made.engine.real.enable(0)
-    made.engine.advance(made.engine.now + 100_000)  # 50 ms
-    assert made.engine.pins.outputs() & enables == 0
+    rig.engine.real.enable(1)
+    rig.engine.advance(rig.engine.now + 200_000)  # 100 ms
+    assert rig.engine.pins.outputs() & enables == enables
+    rig.engine.real.enable(0)
+    rig.engine.advance(rig.engine.now + 100_000)  # 50 ms
+    assert rig.engine.pins.outputs() & enables == 0
 
 
 def test_i2s_reaches_its_highest_rate() -> None:
     """A step every three frames of 8 us, or 41,667 a second: nothing is late, nothing is lost."""
     limits = Limits((400.0,) * 3, (60_000.0,) * 3, (5000.0,) * 3)  # steps/mm, mm/min, mm/s²
-    made = Made("i2s", limits)
-    made.bench.line((40.0, 20.0, 0.0), 60_000.0)  # mm; mm/min, faster than the engine can
-    made.go()
-    assert made.places() == made.position() == [16_000, 8000, 0]  # 400 steps/mm
-    steps_us = [us for us, _ in of_axis(made.steps, 0)]
+    rig = EngineRig("i2s", limits)
+    rig.bench.line((40.0, 20.0, 0.0), 60_000.0)  # mm; mm/min, faster than the engine can
+    rig.run_to_end()
+    assert rig.counted_steps() == rig.reported_steps() == [16_000, 8000, 0]  # 400 steps/mm
+    steps_us = [us for us, _ in steps_of_axis(rig.steps, 0)]
     gaps_us = [b - a for a, b in pairwise(steps_us)]
     assert min(gaps_us) >= 24  # us
     # A frame has 16 ticks and 8 us. In the middle of the motion, at full speed:
-    assert max(made.engine.tick_hz // 16 / (gap / 8) for gap in gaps_us[6000:9000]) > 40_000
+    assert max(rig.engine.tick_hz // 16 / (gap / 8) for gap in gaps_us[6000:9000]) > 40_000
 
 
 def test_rmt_hides_its_gap_below_the_stated_rate() -> None:
     """One axis at 2000 steps/s (250 steps/mm * 8 mm/s): no train is late."""
     limits = Limits(acceleration=(200.0,) * 3, rate=(3000.0,) * 3)
-    made = Made("rmt", limits)
-    made.bench.line((6.0, 0.0, 0.0), 480.0)
-    made.go()
-    assert made.engine.real.longest_gap_us() == 0
-    assert made.engine.real.worst_skew_us() <= 60  # of a channel's start
+    rig = EngineRig("rmt", limits)
+    rig.bench.line((6.0, 0.0, 0.0), 480.0)
+    rig.run_to_end()
+    assert rig.engine.real.longest_gap_us() == 0
+    assert rig.engine.real.worst_skew_us() <= 60  # of a channel's start
 
 
 @pytest.mark.parametrize("invert", [0b000, 0b101])
 @pytest.mark.parametrize("engine", ESP)
 def test_directions_are_inverted_on_request(engine: str, invert: int) -> None:
     """$3, here of axes 0 and 2: the direction pins are inverted, and so is the modelled driver."""
-    made = make(engine, "reversals")
-    made.engine.configure(_PULSE_US, 0, invert)
-    for i, levels in enumerate(made.engine.pins.levels):
+    rig = make(engine, "reversals")
+    rig.engine.configure(_PULSE_US, 0, invert)
+    for i, levels in enumerate(rig.engine.pins.levels):
         levels.invert = invert >> i & 1
-    made.go()
-    assert made.position() == made.places() == [0, 0, 0]
+    rig.run_to_end()
+    assert rig.reported_steps() == rig.counted_steps() == [0, 0, 0]
 
 
 # Recorded motion of real Grbl
@@ -736,14 +744,14 @@ def test_recorded_motion_is_repeated(path: Path, on_engine: str) -> None:
         # The reaction to an event depends on the engine (Grbl's takes 45 ms), and so do these.
         ignored = ("duration", "peak rate", "not at rest", "net_steps", "pulses", "final")
         wrong = [text for text in wrong if not text.startswith(ignored) and " at " not in text]
-    assert not [text for text in wrong if not _near_peak(text, _PEAK[on_engine])]
+    assert not [text for text in wrong if not is_near_peak(text, _PEAK[on_engine])]
     steps = array("i", [0, 0, 0])
     motion.rig.engine.physical(steps)
     steps_by_letter = zip("XYZ", steps, strict=True)
     assert observed["net_steps"] == dict(steps_by_letter)
 
 
-def _near_peak(text: str, share: float) -> bool:
+def is_near_peak(text: str, share: float) -> bool:
     """Return whether a text is "peak rate X: 99.0 Hz, expected 100" and the rates are near."""
     if not text.startswith("peak rate"):
         return False

@@ -116,8 +116,8 @@ class Tree:
 
     def make_docs(self):
         """Update the docs; return the changed files."""
-        told = self.python("-m", "ugrbl.docs")
-        return set(re.findall(r"^(\S+) has been brought up to date$", told, re.MULTILINE))
+        output = self.python("-m", "ugrbl.docs")
+        return set(re.findall(r"^(\S+) has been brought up to date$", output, re.MULTILINE))
 
 
 @pytest.fixture
@@ -129,7 +129,7 @@ def in_section(title):
     return pytest.mark.parametrize("tree", [title], indirect=True)
 
 
-def files_the_page_counts(what):
+def file_counts_on_page(what):
     """Return how many files the page says are written by hand, and updated by `make docs`."""
     rows = {row[0]: (int(row[1]), int(row[2])) for row in _ROW.findall(_PAGE.read_text())}
     return rows[what]
@@ -147,7 +147,7 @@ def test_a_drilling_cycle(tree):
 
     The page's table says how many files one writes, and how many `make docs` renews.
     """
-    assert (len(tree.written), 0) == files_the_page_counts("a drilling cycle")
+    assert (len(tree.written), 0) == file_counts_on_page("a drilling cycle")
     output = tree.python("-m", "pytest", "-q", "-p", "no:cacheprovider", "test_drill.py")
     assert re.search(r"^(=+ )?2 passed", output, re.MULTILINE), output
     built = tree.ugrbl("build --board drilling_mill.py")
@@ -173,7 +173,7 @@ def test_a_setting(tree):
     """
     renewed_pages = tree.make_docs()
     assert "`$99`" in (tree.folder / "docs" / "reference.md").read_text()
-    assert (len(tree.written), len(renewed_pages)) == files_the_page_counts("a setting")
+    assert (len(tree.written), len(renewed_pages)) == file_counts_on_page("a setting")
     # Two tests: that each setting has an effect to observe, and that of the new $99.
     tests = ("-k", "99 or every_setting", "host_tests/whole/test_settings_effects.py")
     output = tree.python("-m", "pytest", "-q", "-p", "no:cacheprovider", "--all", *tests)
@@ -202,7 +202,7 @@ def test_a_board(tree):
     """
     renewed_pages = tree.make_docs()
     assert "`pen_plotter.py`" in (tree.folder / "docs" / "boards.md").read_text()
-    assert (len(tree.written), len(renewed_pages)) == files_the_page_counts("a board")
+    assert (len(tree.written), len(renewed_pages)) == file_counts_on_page("a board")
     assert "board.py" in tree.ugrbl("build --board pen_plotter")
     tree.ugrbl("run examples/badge.nc --board pen_plotter --check")
 
@@ -251,7 +251,7 @@ def test_a_link(tree):
     The page's table says how many files one writes, and how many `make docs` renews.
     """
     renewed_pages = tree.make_docs()
-    assert (len(tree.written), len(renewed_pages)) == files_the_page_counts("a link")
+    assert (len(tree.written), len(renewed_pages)) == file_counts_on_page("a link")
     pico = (tree.folder / "boards" / "rpi_pico.py").read_text()
     board = tree.folder / "my_bluetooth.py"
     board.write_text(pico.replace('LINK = "usb"', 'LINK = "serial"'))
@@ -266,7 +266,7 @@ def test_a_link(tree):
 @in_section("An extra")
 def test_an_extra(tree):
     """The page's example has M100 P1 and P0 switch a vacuum: a program with them has no errors."""
-    assert (len(tree.written), 0) == files_the_page_counts("an extra")
+    assert (len(tree.written), 0) == file_counts_on_page("an extra")
     built = tree.ugrbl("build --board router.py")
     assert "vacuum.py" in built and "extras/api.mpy" in built
     program = tree.folder / "job.nc"
@@ -316,10 +316,12 @@ with Machine("dusty_mill.py") as machine:
 
 @in_section("A second output")
 def test_a_second_output_follows_the_spindle(tree):
-    assert (len(tree.written), 0) == files_the_page_counts("a second output")
+    """_DUST prints 1 while the output is on: at first; after M3; 2.9 and 3.2 s after M5; after M4;
+    after a reset; after M3 and M30, and 3.2 s later."""
+    assert (len(tree.written), 0) == file_counts_on_page("a second output")
     assert "dust.py" in tree.ugrbl("build --board dusty_mill.py")
-    told = tree.python("-c", _DUST)
-    assert told.split() == ["0", "1", "1", "0", "1", "0", "1", "0"]
+    output = tree.python("-c", _DUST)
+    assert output.split() == ["0", "1", "1", "0", "1", "0", "1", "0"]
 
 
 _UNEVEN = """
@@ -336,7 +338,7 @@ with Machine("uneven_mill.py") as machine:
 @in_section("A transform")
 def test_a_transform_follows_the_grid(tree):
     """_UNEVEN moves the machine and prints X, Y and Z of the motors, in mm, after each line."""
-    assert (len(tree.written), 0) == files_the_page_counts("a transform")
+    assert (len(tree.written), 0) == file_counts_on_page("a transform")
     # Heights in mm at points of a grid, a row of X per line of Y.
     (tree.folder / "heights.csv").write_text("0,1,2\n0,2,4\n0,0,0\n")
     tree.ugrbl("build --board uneven_mill.py")

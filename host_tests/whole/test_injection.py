@@ -36,22 +36,25 @@ pytestmark = [pytest.mark.sampled(2), pytest.mark.usefixtures("each_ms")]
 
 _EVERY = os.environ.get("UGRBL_TORTURE") is not None  # bytecode, not samples
 _SAMPLES = 40  # about so many bytecodes of a scenario
-_BEFORE_MS = 600  # how long a scenario may take
+_SCENARIO_MS = 600  # how long a scenario may take
 _PINS = ("limit_x", "reset", "hold", "probe")  # events at input pins; others are bytes
 _STOPS = ("limit_x", "reset", "\x18")  # events after which nothing may move
 _FAST = {110: 3000, 111: 3000, 112: 3000, 120: 500, 121: 500, 122: 500}
 
 
 class Injector:
-    """Call action at bytecode number `at` of these functions; count the bytecodes if at is -1."""
+    """Call action at this bytecode of these functions; only count the bytecodes if it is -1."""
 
     def __init__(
-        self, functions: "tuple[Any, ...]", at: int = -1, action: Callable[[], None] = lambda: None
+        self,
+        functions: "tuple[Any, ...]",
+        at_bytecode: int = -1,
+        action: Callable[[], None] = lambda: None,
     ) -> None:
-        """functions: those whose bytecodes are counted; at, action: see the class."""
+        """functions: those whose bytecodes are counted; at_bytecode, action: see the class."""
         # The code objects, by which a trace function recognises the functions' frames.
         self._codes: set[CodeType] = {function.__code__ for function in functions}
-        self._at = at
+        self._at = at_bytecode
         self._action = action
         self.count = 0  # bytecodes executed so far
 
@@ -164,17 +167,19 @@ SCENARIOS = (
 
 
 class Trial:
-    """One run of a scenario. act: the event at bytecode `at` of its functions."""
+    """One run of a scenario, with an event at a bytecode of its functions."""
 
-    def __init__(self, scenario: Scenario, at: int, act: str) -> None:
-        """at: the number of the bytecode, -1: no event; act: a pin of _PINS, or a byte."""
+    def __init__(self, scenario: Scenario, at_bytecode: int, event: str) -> None:
+        """at_bytecode: its number, -1: no event; event: a pin of _PINS, or a byte."""
         self._scenario = scenario
-        self._act = act
+        self._event = event
         # $21=1: hard limits. watched: the machine's check of all laws of motion, not needed here.
         self.machine = Machine({**_FAST, 21: 1, **scenario.settings}, watched=False)
-        self._injector = Injector(scenario.functions, at, self._inject)
+        self._injector = Injector(scenario.functions, at_bytecode, self._inject)
         self.bytecodes = 0  # executed in the scenario
-        self.place: "list[int] | None" = None  # motors' steps at the event; None: no event
+        self.steps_at_event: "list[int] | None" = (
+            None  # motors' steps at the event; None: no event
+        )
         self._outputs: "list[str]" = []  # those that were on just after the event
 
     def run(self) -> None:
@@ -184,14 +189,14 @@ class Trial:
     def _inject(self) -> None:
         """Act as an interrupt would, and note position and outputs just after it."""
         rig = self.machine.rig
-        if self._act in _PINS:
-            rig.port.push({self._act: True})
+        if self._event in _PINS:
+            rig.port.push({self._event: True})
         else:
-            rig.controller.realtime.post(ord(self._act))
-        self.place = self.machine.physical()
-        self._outputs = self._on()
+            rig.controller.realtime.post(ord(self._event))
+        self.steps_at_event = self.machine.physical()
+        self._outputs = self._outputs_on()
 
-    def _on(self) -> "list[str]":
+    def _outputs_on(self) -> "list[str]":
         """Return the outputs that are on."""
         port = self.machine.rig.port
         names = ("spindle_on", "spindle_pwm", "flood", "mist")
@@ -212,18 +217,18 @@ class Trial:
         with self._injector:
             for line in scenario.lines.split():
                 # Not after a stop: lines after a reset would be executed.
-                if self.place is None or self._act not in _STOPS:
+                if self.steps_at_event is None or self._event not in _STOPS:
                     rig.link.send(line.encode() + b"\n")
                 yield rig.ms(20)
             if scenario.byte:
                 rig.link.send(scenario.byte.encode("latin-1"))
             # Wait for the event, and 30 ms more for its effects.
-            until = rig.ms(_BEFORE_MS * (10 if scenario.homes else 1))
-            while rig.now < until and self.place is None:
+            until = rig.ms(_SCENARIO_MS * (10 if scenario.homes else 1))
+            while rig.now < until and self.steps_at_event is None:
                 yield rig.ms(2)
             yield rig.ms(30)
         self.bytecodes = self._injector.count
-        if self._act in _STOPS and self.place is not None:
+        if self._event in _STOPS and self.steps_at_event is not None:
             yield from self._check()
         else:
             rig.port.push({"hold": False, "probe": False})  # open
@@ -234,11 +239,11 @@ class Trial:
         machine = self.machine
         rig, port = machine.rig, machine.rig.port
         yield rig.ms(600)  # an alarm ignores input for 500
-        where = f"{self._scenario.name}, {self._act}, bytecode {self._injector.count}"
-        assert machine.physical() == self.place, f"it moved on: {where}"
+        where = f"{self._scenario.name}, {self._event}, bytecode {self._injector.count}"
+        assert machine.physical() == self.steps_at_event, f"it moved on: {where}"
         # Off at once, and still off now.
         assert not self._outputs, f"outputs are on: {where}"
-        assert not self._on(), f"outputs are on again: {where}"
+        assert not self._outputs_on(), f"outputs are on again: {where}"
         rig.engine.switches.clear()
         port.push({"limit_x": False, "reset": False})
         yield from self._ask("\x18", "Grbl 1.1h")
@@ -267,7 +272,7 @@ class Trial:
             received += machine.take()
 
 
-def some(total: int, phase: int) -> range:
+def sample_bytecodes(total: int, phase: int) -> range:
     """Return the numbers of the bytecodes to try, of `total`.
 
     They are every n-th one from `phase` on. It differs per test, so that together they cover more.
@@ -277,7 +282,7 @@ def some(total: int, phase: int) -> range:
     return range(0 if _EVERY else phase % step, total, step)
 
 
-def bytecodes(scenario: Scenario) -> int:
+def count_bytecodes(scenario: Scenario) -> int:
     """Return the number of bytecodes of a scenario's functions."""
     trial = Trial(scenario, -1, "")
     trial.run()
@@ -285,27 +290,31 @@ def bytecodes(scenario: Scenario) -> int:
 
 
 @pytest.mark.sampled(2, 9)
-@pytest.mark.parametrize("act", ["limit_x", "reset", "\x18"], ids=["limit", "button", "Ctrl-X"])
+@pytest.mark.parametrize("event", ["limit_x", "reset", "\x18"], ids=["limit", "button", "Ctrl-X"])
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda scenario: scenario.name)
-def test_nothing_moves_or_turns_after_a_stop(scenario: Scenario, act: str) -> None:
-    if scenario.homes and act == "limit_x":
-        pytest.skip("homing wants the switches for itself")
-    for at in some(bytecodes(scenario), len(scenario.name) + len(act)):
-        Trial(scenario, at, act).run()
+def test_nothing_moves_or_turns_after_a_stop(scenario: Scenario, event: str) -> None:
+    if scenario.homes and event == "limit_x":
+        pytest.skip("homing uses the switches itself")
+    for at_bytecode in sample_bytecodes(
+        count_bytecodes(scenario), len(scenario.name) + len(event)
+    ):
+        Trial(scenario, at_bytecode, event).run()
 
 
 @pytest.mark.sampled(1)
-@pytest.mark.parametrize("act", ["!", "hold"], ids=["!", "button"])
+@pytest.mark.parametrize("event", ["!", "hold"], ids=["!", "button"])
 @pytest.mark.parametrize("name", ["start", "turn", "refill", "hold"])
-def test_a_hold_at_any_moment_costs_no_step(name: str, act: str) -> None:
+def test_a_hold_at_any_moment_costs_no_step(name: str, event: str) -> None:
     """The motors end where they do without an event; Trial resumes after the hold."""
     scenario = next(scenario for scenario in SCENARIOS if scenario.name == name)
-    undisturbed = Trial(scenario, at=-1, act="")  # -1: no event, bytecodes are counted
+    undisturbed = Trial(scenario, at_bytecode=-1, event="")  # -1: no event, bytecodes are counted
     undisturbed.run()
-    for at in some(undisturbed.bytecodes, phase=len(name) + len(act)):
-        trial = Trial(scenario, at, act)
+    for at_bytecode in sample_bytecodes(undisturbed.bytecodes, phase=len(name) + len(event)):
+        trial = Trial(scenario, at_bytecode, event)
         trial.run()
-        assert trial.machine.physical() == undisturbed.machine.physical(), f"bytecode {at}"
+        assert trial.machine.physical() == undisturbed.machine.physical(), (
+            f"bytecode {at_bytecode}"
+        )
 
 
 def test_a_probe_contact_at_any_moment_is_recorded_to_the_step() -> None:
@@ -314,17 +323,19 @@ def test_a_probe_contact_at_any_moment_is_recorded_to_the_step() -> None:
     An event before or after the probing leads to an alarm, to [PRB:…:0], or is not reached.
     """
     scenario = next(scenario for scenario in SCENARIOS if scenario.name == "probing")
-    for at in some(bytecodes(scenario), phase=3):
-        trial = Trial(scenario, at, "probe")
+    for at_bytecode in sample_bytecodes(count_bytecodes(scenario), phase=3):
+        trial = Trial(scenario, at_bytecode, "probe")
         trial.run()
         lines = trial.machine.received
         results = [line for line in lines if line.startswith("[PRB:")]
-        if results and trial.place and results[0].endswith(":1]"):
+        if results and trial.steps_at_event and results[0].endswith(":1]"):
             position_mm = results[0][5:-3].split(",")
             position_steps = [round(float(mm) * 250) for mm in position_mm]
-            assert position_steps == trial.place, f"bytecode {at}: {results}"
+            assert position_steps == trial.steps_at_event, f"bytecode {at_bytecode}: {results}"
         else:
-            assert "ALARM:4" in lines or results or trial.place is None, f"bytecode {at}: {lines}"
+            assert "ALARM:4" in lines or results or trial.steps_at_event is None, (
+                f"bytecode {at_bytecode}: {lines}"
+            )
 
 
 def test_a_stop_without_effect_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -337,8 +348,8 @@ def test_a_stop_without_effect_is_found(monkeypatch: pytest.MonkeyPatch) -> None
 
     monkeypatch.setattr(SimEngine, "start", start_anyway)
     with pytest.raises(AssertionError, match="it moved on"):
-        for at in range(40):
-            Trial(SCENARIOS[0], at, "limit_x").run()
+        for at_bytecode in range(40):
+            Trial(SCENARIOS[0], at_bytecode, "limit_x").run()
 
 
 def test_a_tool_that_stays_on_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -346,5 +357,5 @@ def test_a_tool_that_stays_on_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(SimPort, "kill", lambda _port: None)
     scenario = SCENARIOS[1]  # with the spindle on
     with pytest.raises(AssertionError, match="outputs are on"):
-        for at in range(0, bytecodes(scenario), 5):
-            Trial(scenario, at, "limit_x").run()
+        for at_bytecode in range(0, count_bytecodes(scenario), 5):
+            Trial(scenario, at_bytecode, "limit_x").run()

@@ -108,25 +108,25 @@ def test_corexy_keeps_every_law_of_its_motors(program) -> None:
     bench.check()
 
 
-@pytest.mark.parametrize("after", [1, 7, 20, 40])
-def test_a_hold_at_any_moment_keeps_every_law(after: int) -> None:
-    """Hold, come to rest and resume after so many segments of a zigzag."""
+@pytest.mark.parametrize("segments_before", [1, 7, 20, 40])
+def test_a_hold_at_any_moment_keeps_every_law(segments_before: int) -> None:
+    """Hold, come to rest and resume; segments_before: of a zigzag, before the hold."""
     bench = Bench(fast)
     zigzag(bench)
-    bench.pull(after)
+    bench.pull(segments_before)
     bench.hold()
     bench.check()
 
 
 @pytest.mark.parametrize("feed", [10, 200])
-@pytest.mark.parametrize("after", [1, 7, 20, 40])
-def test_an_override_at_any_moment_keeps_every_law(feed: int, after: int) -> None:
+@pytest.mark.parametrize("segments_before", [1, 7, 20, 40])
+def test_an_override_at_any_moment_keeps_every_law(feed: int, segments_before: int) -> None:
     """Feed overrides of 10 % and 200 % begin and end after so many segments."""
     bench = Bench(fast)
     zigzag(bench)
-    bench.pull(after)
+    bench.pull(segments_before)
     bench.override(feed)
-    bench.pull(after)
+    bench.pull(segments_before)
     bench.override(100)
     bench.check()
 
@@ -144,7 +144,7 @@ def test_an_override_too_late_to_brake_for_keeps_every_law() -> None:
 # Even steps
 
 
-def cruising(bench: Bench, axis: int) -> "list[int]":
+def cruise_ticks(bench: Bench, axis: int) -> "list[int]":
     """Execute everything; return the ticks of the middle half of an axis' pulses, in cruise."""
     bench.finish()
     rows = [(segment.start, segment.row) for segment in bench.watch.made]
@@ -156,15 +156,15 @@ def cruising(bench: Bench, axis: int) -> "list[int]":
 def test_steps_of_a_constant_rate_move_are_even(feed: int) -> None:
     bench = Bench(Limits(rate=(6000.0,) * 3, acceleration=(2000.0,) * 3))
     bench.line((max(0.4, feed / 200), 0, 0), feed)
-    assert uneven(cruising(bench, 0)) <= 1
+    assert uneven(cruise_ticks(bench, 0)) <= 1
 
 
-@pytest.mark.parametrize("minor", [0.7, 9.99, 13.37, 20.0, 39.996])
-def test_steps_of_a_minor_axis_are_even(minor: float) -> None:
+@pytest.mark.parametrize("y_mm", [0.7, 9.99, 13.37, 20.0, 39.996])
+def test_steps_of_a_minor_axis_are_even(y_mm: float) -> None:
     bench = Bench(fast)
-    bench.line((40, minor, 0), 2500)
+    bench.line((40, y_mm, 0), 2500)
     for axis in (0, 1):
-        assert uneven(cruising(bench, axis)) <= 1
+        assert uneven(cruise_ticks(bench, axis)) <= 1
 
 
 @pytest.mark.parametrize("pieces", [2, 15, 100])
@@ -174,7 +174,7 @@ def test_steps_are_even_across_the_joints_of_a_straight_line(pieces: int) -> Non
     for i in range(1, pieces + 1):
         bench.line((40 * i / pieces, 20 * i / pieces, 0), 2000)
     for axis in (0, 1):
-        assert uneven(cruising(bench, axis)) <= 1
+        assert uneven(cruise_ticks(bench, axis)) <= 1
 
 
 # Random programs
@@ -185,14 +185,14 @@ def any_limits(axes: int):
     deviation in mm, the highest step frequency in Hz, and motors as masks of the axes they follow.
     """
 
-    def each(*values):
+    def lines_per_segment(*values):
         return st.tuples(*[st.sampled_from(values)] * axes)
 
     return st.builds(
         Limits,
-        each(40.0, 80.0, 250.0, 800.0, 26.667),
-        each(100.0, 500.0, 3000.0, 20_000.0),
-        each(5.0, 10.0, 200.0, 3000.0),
+        lines_per_segment(40.0, 80.0, 250.0, 800.0, 26.667),
+        lines_per_segment(100.0, 500.0, 3000.0, 20_000.0),
+        lines_per_segment(5.0, 10.0, 200.0, 3000.0),
         st.sampled_from([0.001, 0.01, 0.05, 0.5]),
         st.just(90_909),
         st.sampled_from({3: [(), COREXY, SECOND_Y], 6: [(), EIGHT_MOTORS]}.get(axes, [()])),
@@ -237,10 +237,10 @@ def test_random_programs_keep_every_law(axes: int, data) -> None:
 # Lookahead
 
 steps = st.floats(-0.3, 0.3).map(lambda x: round(x, 3))
-ways = st.lists(st.tuples(steps, steps, st.sampled_from([300.0, 6000.0, 0.0])), max_size=60)
+short_moves = st.lists(st.tuples(steps, steps, st.sampled_from([300.0, 6000.0, 0.0])), max_size=60)
 
 
-def walk(moves):
+def positions_and_feeds(moves):
     """Yield (position in mm, feed) after each of these moves, (dx, dy, feed)."""
     x = y = 0.0
     for dx, dy, feed in moves:
@@ -249,14 +249,14 @@ def walk(moves):
 
 
 @some(20)
-@given(ways)
+@given(short_moves)
 def test_planning_several_lines_at_once_equals_planning_one_by_one(moves) -> None:
     """The planner adds a line at once, and replans only now and then; catch_up() does it now.
 
     The ring of 64 blocks is the same in the end. 30 short lines before let it become long.
     """
     at_once, singly = Bench(Limits(), 64), Bench(Limits(), 64)
-    for place, feed in walk([(0.1, 0.0, 6000.0)] * 30 + moves):
+    for place, feed in positions_and_feeds([(0.1, 0.0, 6000.0)] * 30 + moves):
         at_once.line(place, feed)
         check_plan(at_once.watch)
         singly.line(place, feed)
@@ -266,14 +266,16 @@ def test_planning_several_lines_at_once_equals_planning_one_by_one(moves) -> Non
 
 
 @some(20)
-@given(ways, st.integers(1, 40))
-def test_a_long_ring_filled_while_it_empties_keeps_every_law(moves, each: int) -> None:
-    """A segment is taken after each `each` lines, when 25 have been planned."""
+@given(short_moves, st.integers(1, 40))
+def test_a_long_ring_filled_while_it_empties_keeps_every_law(
+    moves, lines_per_segment: int
+) -> None:
+    """A segment is executed after every lines_per_segment lines, when 25 have been planned."""
     bench = Bench(Limits(), 64)
-    for i, (place, feed) in enumerate(walk([(0.1, 0.0, 6000.0)] * 40 + moves)):
+    for i, (place, feed) in enumerate(positions_and_feeds([(0.1, 0.0, 6000.0)] * 40 + moves)):
         bench.line(place, feed)
         check_plan(bench.watch)
-        if i > 25 and i % each == 0:
+        if i > 25 and i % lines_per_segment == 0:
             bench.pull()
     bench.check()
 
@@ -285,7 +287,7 @@ def test_a_long_ring_is_not_replanned_for_each_line() -> None:
     """
     bench = Bench(Limits(), 64)
     passes = 0
-    for place, feed in walk([(0.1, 0.0, 6000.0)] * 60):
+    for place, feed in positions_and_feeds([(0.1, 0.0, 6000.0)] * 60):
         bench.line(place, feed)
         passes += bench.planner.flow[layout.UNPLANNED] == 0  # all lines so far are planned
     assert passes == 15 + (60 - 15) // 4
@@ -403,14 +405,14 @@ def test_a_reset_restores_overrides() -> None:
     # A dwell of 9 s, and a comment that fills the buffer of 128 bytes: the moves are not sent
     # before the reset.
     waiting = ["G4P9", "(" + 118 * "-" + ")"]
-    spans = []
+    pulses_and_ticks = []
     # At 100 ms: feed three times -10 %, rapids 25 %. At 300 ms: the reset.
     for before, events in ((waiting, [(100, "\x92\x92\x92\x97"), (300, "\x18")]), ([], [])):
         machine = Machine({110: 6000.0, 120: 1000.0})
         machine.play([*before, "G91G1X5F6000", "G0X5"], events)
         ticks = [tick for tick, _ in pulses(machine.rows, 0)]
-        spans.append((len(ticks), ticks[-1] - ticks[0]))  # number of pulses, duration
-    assert spans[0] == spans[1]
+        pulses_and_ticks.append((len(ticks), ticks[-1] - ticks[0]))  # number of pulses, duration
+    assert pulses_and_ticks[0] == pulses_and_ticks[1]
 
 
 # The machine model

@@ -115,25 +115,29 @@ def test_a_module_imports_only_from_lower_layers():
     assert not refused
 
 
-def circles(imports):
+def modules_on_cycles(imports):
     """Return the modules on circles of imports, and those that import them.
 
     Modules that import none of those left are removed, again and again, until there are none.
     imports: the modules that each one uses.
     """
-    left = {module: used & imports.keys() for module, used in imports.items()}
-    while ends := [module for module, used in left.items() if not used & left.keys()]:
+    remaining = {module: used & imports.keys() for module, used in imports.items()}
+    while ends := [module for module, used in remaining.items() if not used & remaining.keys()]:
         for module in ends:
-            del left[module]
-    return left
+            del remaining[module]
+    return remaining
 
 
 def test_no_import_leads_back_to_where_it_began():
-    assert not circles(all_imports()), "these import one another, or one that does"
+    assert not modules_on_cycles(all_imports()), "these import one another, or one that does"
 
 
 def test_a_circle_is_found():
-    assert set(circles({"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": set()})) == {"a", "b", "c"}
+    assert set(modules_on_cycles({"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": set()})) == {
+        "a",
+        "b",
+        "c",
+    }
 
 
 def test_no_name_hides_a_module_of_either_python():
@@ -142,7 +146,7 @@ def test_no_name_hides_a_module_of_either_python():
     assert not names & taken
 
 
-def length(node):
+def line_count(node):
     return node.end_lineno - node.lineno + 1
 
 
@@ -154,10 +158,10 @@ def too_long(trees, tables=False):
     lines_of = {}
     for path, tree in trees.items():
         for node in ast.walk(tree):
-            if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)) and length(node) > 60:
-                lines_of[f"{path}: {node.name}"] = length(node)
+            if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)) and line_count(node) > 60:
+                lines_of[f"{path}: {node.name}"] = line_count(node)
         table_lines = (
-            length(node)
+            line_count(node)
             for node in tree.body
             if isinstance(node, (ast.Assign, ast.AnnAssign))
             and isinstance(node.value, (ast.Tuple, ast.Dict, ast.List))
@@ -176,7 +180,7 @@ def test_no_method_is_put_in_the_place_of_another():
 
 
 def test_no_two_modules_have_one_name():
-    """But for the pins of either chip, of which a board has one: the same methods, by one name."""
+    """Except the chips' modules named pins: a board has one of them, with the same methods."""
     names = Counter(path.stem for path in FILES if path.stem not in ("__init__", "pins"))
     assert [name for name, count in names.items() if count > 1] == []
 
@@ -200,7 +204,7 @@ def test_nothing_is_made_of_more_than_six_others():
 
 CORE = ("base", "motion", "control", "language", "talk")
 # What is an extra's, wherever it stands in a name, a comment or a text.
-_GUESTS = (
+_EXTRA_WORDS = (
     r"jerk|cluster|\bdots?\b|_dots|rotary|punch|\bjobs?\b|custom|backlash|dialect|skew|ganged|"
     r"lenient|tmc2209|drain|nonlinear|joint|scara|drilling|upload"
 )
@@ -218,7 +222,7 @@ def words_of_extras():
     names = {part.removesuffix(".py") for path in paths for part in path.parts}
     assert set(_SHARED) <= names, "no more is let pass than there is"
     own_names = r"|".join(sorted(map(re.escape, names - set(_SHARED))))
-    return re.compile(f"{_GUESTS}|{own_names}", re.IGNORECASE)
+    return re.compile(f"{_EXTRA_WORDS}|{own_names}", re.IGNORECASE)
 
 
 def test_the_core_has_never_heard_of_an_extra():
@@ -269,8 +273,8 @@ def decodings(tree):
 
 
 def test_bytes_become_text_in_one_place():
-    found = {module_name(path): len(list(decodings(tree))) for path, tree in trees().items()}
-    assert {module: count for module, count in found.items() if count} == DECODES
+    counts = {module_name(path): len(list(decodings(tree))) for path, tree in trees().items()}
+    assert {module: count for module, count in counts.items() if count} == DECODES
 
 
 def test_whatever_makes_text_of_bytes_is_found():

@@ -114,7 +114,7 @@ heard, at, typed, kinds = reader.memory()
 received = bytearray(b"G1 X1 (a comment) ? y2\\n")
 """
 
-_PROVED = {
+_CALLS = {
     "plan": "plan_kernel.plan(target, table, ring, flow, 0, 0, 0, rate)",
     "schedule": "plan_kernel.compute_profile(table, ring, 0)",
     "limit_entry": "plan_kernel.limit_entry(ring, flow, 2)",
@@ -175,19 +175,21 @@ print(allocates(make), flow[layout.TAIL] > 5)
 
 
 def test_an_allocation_is_found() -> None:
-    control = 'x = 1.0\nprint(allocates(lambda: x + 1.5), allocates(lambda: "%d" % 7))'
-    assert run_micropython(_BENCH + control, paths=[FIRMWARE]).split() == ["True", "True"]
+    two_allocations = 'x = 1.0\nprint(allocates(lambda: x + 1.5), allocates(lambda: "%d" % 7))'
+    assert run_micropython(_BENCH + two_allocations, paths=[FIRMWARE]).split() == ["True", "True"]
 
 
-@pytest.mark.parametrize("call", _PROVED.values(), ids=_PROVED)
+@pytest.mark.parametrize("call", _CALLS.values(), ids=_CALLS)
 def test_a_kernel_allocates_nothing(call: str) -> None:
-    proof = f"print(allocates(lambda: {call}))"
-    assert run_micropython(_BENCH + proof, paths=[FIRMWARE]) == "False\n"
+    code = f"print(allocates(lambda: {call}))"
+    assert run_micropython(_BENCH + code, paths=[FIRMWARE]) == "False\n"
 
 
 def test_segments_are_made_without_allocating_through_blocks_and_holds() -> None:
+    """The script prints whether it allocated, and whether more than two blocks were executed."""
     assert run_micropython(_BENCH + _SEGMENTS, paths=[FIRMWARE]).split() == ["False", "True"]
 
 
 def test_segments_are_made_without_allocating_with_jerk_limited() -> None:
+    """The script prints whether it allocated, and whether more than five blocks were executed."""
     assert run_micropython(_BENCH + _JERK, paths=[FIRMWARE]).split() == ["False", "True"]

@@ -103,7 +103,7 @@ def package(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Package:
     return Package(wheel, tmp_path_factory.mktemp("installed"))
 
 
-def here(*words: object) -> str:
+def output_in_checkout(*words: object) -> str:
     """Return a command's output in the checkout."""
     done = CliRunner().invoke(app, [str(word) for word in words])
     assert done.exit_code == 0, done.output
@@ -122,7 +122,7 @@ def test_the_package_contains_all_files_of_the_checkout(package: Package) -> Non
 
 
 def test_the_version_is_the_same(package: Package) -> None:
-    assert package.ugrbl("--version").stdout == here("--version")
+    assert package.ugrbl("--version").stdout == output_in_checkout("--version")
 
 
 def test_an_example_gives_the_same_result(package: Package) -> None:
@@ -134,7 +134,7 @@ def test_an_example_gives_the_same_result(package: Package) -> None:
         return ["run", examples / "blade.nc", *options]
 
     of_package = package.ugrbl(*words(package.root / "examples")).stdout
-    assert json.loads(of_package) == json.loads(here(*words(_CHECKOUT / "examples")))
+    assert json.loads(of_package) == json.loads(output_in_checkout(*words(_CHECKOUT / "examples")))
 
 
 def build_all(names: "list[str]", folder: Path) -> None:
@@ -167,14 +167,14 @@ def test_a_custom_board_is_built_equally(package: Package, tmp_path: Path) -> No
     words = "new-board mine --chip pico2 --pin step=2,3,4 --pin dir=5,6,7 --no-ask --out".split()
     file, ours = package.folder / "mine.py", tmp_path / "mine.py"
     assert package.ugrbl(*words, file).returncode == 0
-    here(*words, ours)
+    output_in_checkout(*words, ours)
     assert file.read_bytes() == ours.read_bytes()
     for each in (file, ours):
         each.write_text(each.read_text() + 'COREXY = True\nEXTRAS = ("own",)\n')
         each.with_name("own.py").write_text("def install(cnc):\n    pass\n")
     done = package.ugrbl("build", "--board", "mine.py")
     assert done.returncode == 0, done.stderr
-    here("build", "--board", ours, "--out", tmp_path / "build" / "mine")
+    output_in_checkout("build", "--board", ours, "--out", tmp_path / "build" / "mine")
     assert contents(package.folder / "build") == contents(tmp_path / "build")
 
 
@@ -184,7 +184,7 @@ def test_a_uf2_file_is_the_same(package: Package, tmp_path: Path) -> None:
     micropython.write_bytes(uf2.write(program()))
     words = ["uf2", "--board", "rpi_pico", "--micropython", micropython, "--out"]
     assert package.ugrbl(*words, "pico.uf2").returncode == 0
-    here(*words, tmp_path / "pico.uf2")
+    output_in_checkout(*words, tmp_path / "pico.uf2")
     assert (package.folder / "pico.uf2").read_bytes() == (tmp_path / "pico.uf2").read_bytes()
 
 
@@ -195,7 +195,7 @@ def test_a_deployment_works_up_to_the_board(package: Package) -> None:
     assert "cannot open nowhere" in done.stderr
 
 
-def refused(package: Package, *words: str) -> str:
+def refusal_of(package: Package, *words: str) -> str:
     """Return the message of a refused build: one line that ends with the next step.
 
     words: options of `ugrbl build`.
@@ -211,7 +211,7 @@ def test_any_combination_of_options_needs_no_compiler(package: Package, tmp_path
     for folder in (package.folder, tmp_path):
         (folder / "odd.py").write_text(f"{_PICO}COREXY = True\nJERK = True\n")
     assert package.ugrbl("build", "--board", "odd.py", "--out", "odd").returncode == 0
-    here("build", "--board", tmp_path / "odd.py", "--out", tmp_path / "odd")
+    output_in_checkout("build", "--board", tmp_path / "odd.py", "--out", tmp_path / "odd")
     assert contents(package.folder / "odd") == contents(tmp_path / "odd")
 
 
@@ -221,6 +221,6 @@ def test_changed_firmware_needs_the_compiler(package: Package) -> None:
     original = file.read_text()
     try:
         file.write_text(original + "# A change.\n")
-        assert "firmware has changed since" in refused(package, "--board", "rpi_pico")
+        assert "firmware has changed since" in refusal_of(package, "--board", "rpi_pico")
     finally:
         file.write_text(original)

@@ -1,7 +1,7 @@
 """Our extras in pairs: a pair is refused with a message, or answers, moves and stops like one
 alone.
 
-_ASKED: by an extra's module, the options of a board file that select it.
+_OPTIONS_OF: by an extra's module, the options of a board file that select it.
 """
 
 import itertools
@@ -36,7 +36,7 @@ _BRISK = {**dict.fromkeys((110, 111, 112), 2000.0), **dict.fromkeys((120, 121, 1
 
 _GOOD_PIN = 19  # closed: the supply is good
 # A board file's options for each extra, by its module. axes: more letters; second: motors.
-_ASKED: "dict[str, dict[str, Any]]" = {
+_OPTIONS_OF: "dict[str, dict[str, Any]]" = {
     "net.net_access": {"LINK": "wifi"},
     "dialects.dialect_09": {"DIALECT": "0.9j"},
     "dialects.dialect_hal": {"DIALECT": "hal"},
@@ -71,13 +71,13 @@ _PUNCH = {
 }
 
 
-def _go_together(pair: "tuple[str, str]") -> bool:
+def _are_compatible(pair: "tuple[str, str]") -> bool:
     """Return whether no option needs two different values."""
-    one, other = (_ASKED[name] for name in pair)
+    one, other = (_OPTIONS_OF[name] for name in pair)
     return all(one[word] == other[word] for word in one.keys() & other.keys() - {"defaults"})
 
 
-_PAIRS = [pair for pair in itertools.combinations(_ASKED, 2) if _go_together(pair)]
+_PAIRS = [pair for pair in itertools.combinations(_OPTIONS_OF, 2) if _are_compatible(pair)]
 
 
 def board(*extras: str) -> ModuleType:
@@ -88,8 +88,8 @@ def board(*extras: str) -> ModuleType:
     """
     words: "dict[str, Any]" = {"defaults": dict(_BRISK)}
     for extra in extras:
-        defaults = {**words["defaults"], **_ASKED[extra].get("defaults", {})}
-        words = {**words, **_ASKED[extra], "defaults": defaults}
+        defaults = {**words["defaults"], **_OPTIONS_OF[extra].get("defaults", {})}
+        words = {**words, **_OPTIONS_OF[extra], "defaults": defaults}
     motors = "XYZ" + words.pop("axes", "") + words.get("second", "")
     made = ModuleType("board")
     options = vars(made)
@@ -125,10 +125,10 @@ class Bench:
         self.rig = Rig(made, factory_store(made), link)
         self.sender = Sender(self.rig)
         self.sender.allow(600_000)  # ms of the machine's time
-        self.said: "list[str]" = []  # lines received
-        self.places: "list[list[float]]" = []  # reported positions in mm, before and after moves
-        self.moved: "list[int]" = []  # steps of each motor
-        self.tool: "list[tuple[Any, ...]]" = []  # outputs at times when the tool must be off
+        self.answers: "list[str]" = []  # lines received
+        self.positions_mm: "list[list[float]]" = []  # reported, before and after moves
+        self.moved_steps: "list[int]" = []  # steps of each motor
+        self.outputs_when_off: "list[tuple[Any, ...]]" = []  # the tool must be off
         self.rig.run(self._talk())
 
     def _talk(self) -> "Iterator[Any]":
@@ -140,39 +140,39 @@ class Bench:
         yield from self._say("G91\n", "ok")
         yield from self._place()
         before = self._motors()
-        self.tool.append(self._outputs())
+        self.outputs_when_off.append(self._outputs())
         for line in ("G1X1F600\n", "G1Y2\n", "G1X-0.5\n"):
             yield from self._say(line, "ok")
             yield from self._say("", "idle")
         yield from self._place()
-        self.moved = [after - at for at, after in zip(before, self._motors(), strict=True)]
+        self.moved_steps = [after - at for at, after in zip(before, self._motors(), strict=True)]
         yield from self._say("$$\n", "ok")
         yield from self._say("M3S500\n", "ok")
         yield from self._say("M5\n", "ok")
-        self.tool.append(self._outputs())
+        self.outputs_when_off.append(self._outputs())
         yield from self._say("M3S700\n", "ok")
         self.rig.link.send(b"G1X5F300\n")
         yield self.rig.ms(200)  # the move lasts a second
-        self.power: int = self.rig.port.spindle_pwm
-        self.before_reset = len(self.said)
+        self.power_in_motion: int = self.rig.port.spindle_pwm
+        self.before_reset = len(self.answers)
         yield from self._say("\x18", "banner")
-        self.tool.append(self._outputs())
+        self.outputs_when_off.append(self._outputs())
 
     def _now_ms(self) -> int:
         return int(self.rig.now / self.rig.ticks_per_ms) if self.rig else 0
 
     def _say(self, text: str, until: str) -> "Iterator[Any]":
         yield from self.sender.wait(until, text)
-        self.said += self.sender.take()
+        self.answers += self.sender.take()
 
     def _place(self) -> "Iterator[Any]":
         """Ask for a report, and add its position in mm to places."""
         yield from self.sender.wait("report", "?")
-        self.said += self.sender.take()
-        report = next(line for line in reversed(self.said) if line.startswith("<"))
+        self.answers += self.sender.take()
+        report = next(line for line in reversed(self.answers) if line.startswith("<"))
         match = re.search(r"MPos:([-\d.,]+)", report)
         assert match, report
-        self.places.append([float(mm) for mm in match[1].strip(",").split(",")])
+        self.positions_mm.append([float(mm) for mm in match[1].strip(",").split(",")])
 
     def _motors(self) -> "list[int]":
         self.rig.engine.physical(self.rig.scratch)
@@ -206,12 +206,12 @@ def _steps(extras: "tuple[str, str]", motors: int) -> "list[int]":
 
 
 def test_every_extra_is_tested_here() -> None:
-    """_ASKED has all modules that a board's options select, and two that have no such entry."""
+    """_OPTIONS_OF has all modules that board options select, and two that have no such entry."""
     ours = {module for _, module in select_extras._ORDER if module}
     ours |= {
         module for words in select_extras.WORDS.values() for module in words.values() if module
     }
-    assert {*_ASKED} == {*ours, "custom.user_modules", "dialects.lenient"}
+    assert {*_OPTIONS_OF} == {*ours, "custom.user_modules", "dialects.lenient"}
 
 
 @pytest.fixture(autouse=True)
@@ -237,16 +237,16 @@ def test_two_extras_are_refused_with_a_message_or_work_together(
     try:
         Options(board(*pair))
     except ValueError as error:
-        words = {word for extra in pair for word in (*_ASKED[extra], "MOTORS", "LIMIT")}
+        words = {word for extra in pair for word in (*_OPTIONS_OF[extra], "MOTORS", "LIMIT")}
         assert any(re.search(rf"\b{word}\b", str(error)) for word in words), error
         return
     bench = Bench(monkeypatch, *pair)
-    assert [line for line in bench.said[: bench.before_reset] if _BAD.match(line)] == []
-    (x, y, *_), (new_x, new_y, *others) = bench.places
+    assert [line for line in bench.answers[: bench.before_reset] if _BAD.match(line)] == []
+    (x, y, *_), (new_x, new_y, *others) = bench.positions_mm
     assert (round(new_x - x, 2), round(new_y - y, 2)) == (0.5, 2.0)
-    assert others == bench.places[0][2:]  # axes that have not moved
+    assert others == bench.positions_mm[0][2:]  # axes that have not moved
     if "kinematics.nonlinear" not in pair:
-        assert bench.moved == _steps(pair, len(bench.moved))
-    assert bench.power > 0 or "tools.punch" in pair
+        assert bench.moved_steps == _steps(pair, len(bench.moved_steps))
+    assert bench.power_in_motion > 0 or "tools.punch" in pair
     # Spindle off, power 0, no other output: at first, after M5, and after the reset.
-    assert bench.tool == [(False, 0, 0)] * 3
+    assert bench.outputs_when_off == [(False, 0, 0)] * 3

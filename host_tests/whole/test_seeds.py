@@ -31,20 +31,20 @@ _ZERO = "0.000,0.000,0.000"
 _SYSTEMS = [f"[G{n}:{_ZERO}]" for n in (*range(54, 60), 28, 30, 92)]
 
 # Text sent, and the expected answer; None: any answer.
-Said = tuple[str, list[str] | None]
+Exchange = tuple[str, list[str] | None]
 
 
 class Promise(NamedTuple):
     """name: as in docs/seeds.md, after the document's number."""
 
     name: str
-    talk: tuple[Said, ...]
+    talk: tuple[Exchange, ...]
     board: str = "sim"
     settings: tuple[str, ...] = _FAST
     switches: tuple[Switch, ...] = ()
 
 
-def each(lines: "str", reply: "list[str]" = _OK) -> "tuple[Said, ...]":
+def same_reply(lines: "str", reply: "list[str]" = _OK) -> "tuple[Exchange, ...]":
     """Return lines, separated by spaces, that all get the same reply."""
     return tuple((line, reply) for line in lines.split())
 
@@ -53,9 +53,11 @@ _CZECH = (
     Promise(
         "000 the G and M words listed are there",
         (
-            *each("G0 G1F100 G2X1R1 G3X0R1 G4P0.01 G10L2P1X0 G10L20P1X0 G17 G18 G19 G20 G21"),
-            *each("G28 G28.1 G30 G30.1 G40 G43.1Z0 G49 G53G0X0 G54 G55 G56 G57 G58 G59 G54"),
-            *each("G61 G90 G91 G91.1 G92X0 G92.1 G93 G94 M3 M4 M5 M8 M9 G80"),
+            *same_reply(
+                "G0 G1F100 G2X1R1 G3X0R1 G4P0.01 G10L2P1X0 G10L20P1X0 G17 G18 G19 G20 G21"
+            ),
+            *same_reply("G28 G28.1 G30 G30.1 G40 G43.1Z0 G49 G53G0X0 G54 G55 G56 G57 G58 G59 G54"),
+            *same_reply("G61 G90 G91 G91.1 G92X0 G92.1 G93 G94 M3 M4 M5 M8 M9 G80"),
             ("G38.3X1F500", None),
             ("pin probe", []),
             ("G38.5X2F500", None),
@@ -155,7 +157,7 @@ _CZECH = (
     Promise(
         "000 homing: Z first, then X and Y, pulled off the switches",
         (
-            *each("$22=1 $24=300 $25=3000 $26=5 $27=1"),
+            *same_reply("$22=1 $24=300 $25=3000 $26=5 $27=1"),
             ("$H", _OK),
             ("?", ["<Idle|MPos:-1.000,-1.000,-1.000|FS:0,0|WCO:0.000,0.000,0.000>"]),
         ),
@@ -191,7 +193,7 @@ _CZECH = (
     Promise(
         "000 $RST puts back what it says",
         (
-            *each("$1=99 G10L2P1X5"),
+            *same_reply("$1=99 G10L2P1X5"),
             ("$RST=$", ["[MSG:Restoring defaults]", "ok", *_BANNER]),
             ("$RST=#", ["[MSG:Restoring defaults]", "ok", *_BANNER]),
             ("$RST=*", ["[MSG:Restoring defaults]", "ok", *_BANNER]),
@@ -215,7 +217,7 @@ _CZECH = (
     Promise(
         "000 the status of older versions",
         (
-            *each("G10L2P1X4Y6", _OK),
+            *same_reply("G10L2P1X4Y6", _OK),
             ("G0X1Y-5", _OK),
             ("?", ["<Idle,MPos:5.000,1.000,0.000,WPos:1.000,-5.000,0.000>"]),
         ),
@@ -226,7 +228,10 @@ _CZECH = (
 _PUNCH = (
     Promise(
         "001 the punch's signals are $30 to $33",
-        (*each("$30=1 $31=1 $30=0 $31=0 $32=0 $33=0"), ("$34=0", ["error: Invalid statement"])),
+        (
+            *same_reply("$30=1 $31=1 $30=0 $31=0 $32=0 $33=0"),
+            ("$34=0", ["error: Invalid statement"]),
+        ),
         board="sim_punch_09",
     ),
     Promise(
@@ -369,7 +374,7 @@ _JAPANESE = (
     Promise(
         "003 G10 L2 and L20, kept over power, for systems 0 to 6",
         (
-            *each("G10L2P2X1Y2Z3 G10L20P0X5 G10L2P6Z-1"),
+            *same_reply("G10L2P2X1Y2Z3 G10L20P0X5 G10L2P6Z-1"),
             ("G10L3P1X0", ["error:20"]),
             ("power", _BANNER),
             (
@@ -423,7 +428,7 @@ _JAPANESE = (
     Promise(
         "003 G43.1 shifts Z, and no other axis",
         (
-            *each("G0Z2 G43.1Z0.5 G0Z3"),
+            *same_reply("G0Z2 G43.1Z0.5 G0Z3"),
             ("?", ["<Idle|MPos:0.000,0.000,3.500|FS:0,0|WCO:0.000,0.000,0.500>"]),
             ("G43.1X1", ["error:37"]),
         ),
@@ -443,7 +448,10 @@ _JAPANESE = (
     ),
     Promise(
         "003 words without effect, and those that are not there",
-        (*each("G40 G61 G80 G91.1"), *each("G90.1 G41 G42 G61.1 G64 G81", ["error:20"])),
+        (
+            *same_reply("G40 G61 G80 G91.1"),
+            *same_reply("G90.1 G41 G42 G61.1 G64 G81", ["error:20"]),
+        ),
     ),
     Promise(
         "003 G92 shifts all systems until G92.1",
@@ -476,7 +484,7 @@ _JOGGING = (
         (
             ("$J=X1", ["error:22"]),
             ("$JX1F10", ["error:3"]),
-            *each("$J=G1X1F10 $J=M3X1F10 $J=G93X1F10", ["error:16"]),
+            *same_reply("$J=G1X1F10 $J=M3X1F10 $J=G93X1F10", ["error:16"]),
             ("$J=X1F10S5", ["error:36"]),
             ("G93", _OK),
             ("$J=X 1 (there) F6000", _OK),
@@ -501,10 +509,10 @@ _JOGGING = (
 )
 
 _PROMISES = (*_CZECH, *_PUNCH, *_SPANISH, *_JAPANESE, *_JOGGING)
-_WAYS = {"?": "report", "\x18": "banner", "!": "ms 600", "~": "ms 100"}  # what to wait for
+_WAITS = {"?": "report", "\x18": "banner", "!": "ms 600", "~": "ms 100"}  # what to wait for
 
 
-def _way(text: str) -> str:
+def _wait_for(text: str) -> str:
     if text.startswith(("$C", "$RST")) or text in ("$SLP", "G0X1"):
         return "ms 900"
     return "ok" if text.startswith("$") and text not in ("$H",) and text[:2] != "$J" else "idle"
@@ -539,13 +547,13 @@ def _say(rig: Rig, sender: Sender, text: str) -> "Iterator[Any]":
         yield rig.ms(5)
     elif text.startswith("now "):
         yield from sender.wait("ok", text[4:] + "\n")
-    elif text in _WAYS:
-        yield from sender.wait(_WAYS[text], text)
+    elif text in _WAITS:
+        yield from sender.wait(_WAITS[text], text)
     else:
-        yield from sender.wait(_way(text), text + "\n")
+        yield from sender.wait(_wait_for(text), text + "\n")
 
 
-def keep(promise: Promise) -> Rig:
+def check_promise(promise: Promise) -> Rig:
     """Run the conversation; raise AssertionError if an answer differs from the promise.
 
     Return the machine. promise.settings: stored lines, like "$22=1", before it is switched on.
@@ -573,10 +581,10 @@ def keep(promise: Promise) -> Rig:
 
 @pytest.mark.parametrize("promise", _PROMISES, ids=lambda promise: promise.name)
 def test_the_document_keeps_its_promise(promise: Promise) -> None:
-    keep(promise)
+    check_promise(promise)
 
 
-def _named(name: str) -> Promise:
+def _promise_named(name: str) -> Promise:
     return next(promise for promise in _PROMISES if promise.name == name)
 
 
@@ -587,19 +595,21 @@ def test_a_dwell_takes_its_time() -> None:
         ("000 a dwell may be longer than 6 s", 6500),
         ("003 G4 in seconds, and not less than none", 2500),
     ):
-        rig = keep(_named(name))
+        rig = check_promise(_promise_named(name))
         assert least_ms < rig.now / rig.ticks_per_ms < least_ms + 500
 
 
 def test_a_feed_is_limited_to_the_highest_rate() -> None:
     """A millimetre at 500 mm/min and 10 mm/s2 takes 0.63 s, at any F."""
-    slow = _named("000 F above the highest rate is cut to it")._replace(settings=("$120=500",))
-    rig = keep(slow)
+    slow = _promise_named("000 F above the highest rate is cut to it")._replace(
+        settings=("$120=500",)
+    )
+    rig = check_promise(slow)
     assert rig.now / rig.ticks_per_ms > 60_000 / 500
 
 
 def test_a_jog_is_reported_and_a_hold_discards_waiting_jogs() -> None:
-    rig = keep(_named("004 only at rest or in a jog, and not mixed with G-code"))
+    rig = check_promise(_promise_named("004 only at rest or in a jog, and not mixed with G-code"))
     assert rig.controller.state.run in (st.IDLE, st.RUN)
 
 

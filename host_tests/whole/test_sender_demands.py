@@ -47,12 +47,12 @@ class Talk:
         yield from self.sender.wait(wait, data)
         self.lines = [line for line in self.sender.take() if line]
 
-    def after(self, milliseconds: float) -> Steps:
+    def wait_ms(self, milliseconds: float) -> Steps:
         """Wait this time, and collect the lines received."""
         yield self.rig.ms(milliseconds)
         self.lines = [line for line in self.sender.take() if line]
 
-    def settle(self) -> Steps:
+    def wait_until_idle(self) -> Steps:
         """Ask for reports until the machine is idle."""
         while True:
             yield from self.send("?", "report")
@@ -196,11 +196,11 @@ def test_gsender_recognises_a_machine_that_has_greeted_before() -> None:
 
     def steps(talk: Talk) -> Steps:
         """Ask five times; each time there is one answer."""
-        yield from talk.after(5000)  # ms: the banner was long ago
+        yield from talk.wait_ms(5000)  # ms: the banner was long ago
         for _ in range(5):
             yield from talk.send("$I\n")
             assert len(answers(talk.lines)) == 1
-            yield from talk.after(800)
+            yield from talk.wait_ms(800)
 
     converse(steps)
 
@@ -265,7 +265,7 @@ def test_lightburn_can_burn_with_m4_at_speed_dependent_power() -> None:
         yield from talk.send("M4 S500\nG91 G1 X20 F1200\n", "ms 400")
         assert answers(talk.lines) == ["ok", "ok"]
         assert 0 < talk.rig.port.spindle_pwm < 200  # of 255: S500 is half of $30
-        yield from talk.settle()
+        yield from talk.wait_until_idle()
         assert talk.rig.port.spindle_pwm == 0  # off at rest
 
     converse(steps, S32=1, **_FAST)
@@ -277,9 +277,9 @@ def test_lightburn_can_jog_and_cancel_the_jog() -> None:
         yield from talk.send("$J=G91X100F3000\n", "ms 300")
         assert talk.lines == ["ok"]
         yield from talk.send("\x85", "ms 500")  # the byte that cancels a jog
-        yield from talk.settle()
+        yield from talk.wait_until_idle()
         stopped = talk.report()
-        yield from talk.after(1000)
+        yield from talk.wait_ms(1000)
         yield from talk.send("?", "report")
         # State and position, the first two fields, do not change any more.
         assert talk.report().split("|")[:2] == stopped.split("|")[:2]
@@ -523,7 +523,7 @@ def test_every_sender_gets_its_status_at_the_end_of_homing_at_the_latest() -> No
             talk.rig.engine.switches.append(Switch(f"limit_{letter}", axis, True, 2500))
         yield from talk.send("$H\n", "ms 100")
         yield from talk.send("?", "report")
-        yield from talk.settle()
+        yield from talk.wait_until_idle()
         assert "MPos:-1.000,-1.000,-1.000" in talk.report()
 
     converse(steps, S22=1, S25=1000, S24=100, **_FAST)
@@ -638,7 +638,7 @@ def test_bcnc_may_jog_with_a_feed_above_the_machines() -> None:
     def steps(talk: Talk) -> Steps:
         yield from talk.send("$J=G91 X5Y5 F100000\n")
         assert talk.lines == ["ok"]
-        yield from talk.settle()
+        yield from talk.wait_until_idle()
         assert "MPos:5.000,5.000,0.000" in talk.report()
 
     converse(steps, **_FAST)
@@ -650,7 +650,7 @@ def test_bcnc_may_begin_with_empty_lines_and_end_with_a_purge() -> None:
         yield from talk.send("\n\n$#\n$G\n")
         assert len(answers(talk.lines)) == 4
         yield from talk.send("G91\nG0X3\n", "ok")
-        yield from talk.settle()
+        yield from talk.wait_until_idle()
         # The purge: hold, reset, unlock, and the modes from before.
         yield from talk.send("!", "ms 200")
         yield from talk.send("\x18", "banner")

@@ -108,11 +108,11 @@ def test_ugs_initialises_once_and_gets_all_its_answers(wire: Wire, state: str) -
     at most 2 s for each answer. wire: a connection to a machine with these settings.
     """
     wire.listen(2.0)
-    asked = 0
+    last_query_s = 0
     while not (reports := [line for line in wire.lines if line.startswith("<")]):
-        assert asked < 10, "UGS gives up"
+        assert last_query_s < 10, "UGS gives up"
         wire.send(b"?")
-        asked += 1
+        last_query_s += 1
         wire.listen(1.0, lambda: any(line.startswith("<") for line in wire.lines))
     assert re.match(rf"<{state}\|MPos:[-\d.,]+\|FS:\d+,\d+", reports[0])
     if state == "Alarm":
@@ -161,23 +161,23 @@ def test_candle_begins_with_its_reset_and_streams(wire: Wire) -> None:
 
 def _stream(wire: Wire, lines: list[bytes]) -> None:
     """Send lines with at most 127 bytes unanswered, and ask for a report each 40 ms."""
-    under_way: deque[int] = deque()  # lengths of the lines that are not answered yet
-    sent = answered = looked = 0  # numbers of lines; looked: of received ones
-    asked = time.monotonic()
+    unanswered_lengths: deque[int] = deque()  # lengths of the lines that are not answered yet
+    sent = answered = lines_read = 0  # numbers of lines; looked: of received ones
+    last_query_s = time.monotonic()
     wire.forget()
     while answered < len(lines):
-        while sent < len(lines) and sum(under_way) + len(lines[sent]) <= 127:
+        while sent < len(lines) and sum(unanswered_lengths) + len(lines[sent]) <= 127:
             wire.send(lines[sent])
-            under_way.append(len(lines[sent]))
+            unanswered_lengths.append(len(lines[sent]))
             sent += 1
-        if time.monotonic() - asked > 0.04:
-            asked = time.monotonic()
+        if time.monotonic() - last_query_s > 0.04:
+            last_query_s = time.monotonic()
             wire.send(b"?")
-        assert wire.listen(5.0, lambda seen=looked: len(wire.lines) > seen), "no answer comes"
-        for line in wire.lines[looked:]:
+        assert wire.listen(5.0, lambda seen=lines_read: len(wire.lines) > seen), "no answer comes"
+        for line in wire.lines[lines_read:]:
             assert line.startswith("<") or line == "ok", line
             if line == "ok":
-                under_way.popleft()
+                unanswered_lengths.popleft()
                 answered += 1
-        looked = len(wire.lines)
-    assert not under_way
+        lines_read = len(wire.lines)
+    assert not unanswered_lengths

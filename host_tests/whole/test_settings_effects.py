@@ -173,20 +173,20 @@ class Bench:
 # Observations of settings
 
 
-def _handed(which: int) -> Look:
+def _configured(which: int) -> Look:
     """Return an observation: an argument of the engine's configure(), by its index.
 
     The effect at the pins is shown by the engine's own tests.
     """
 
-    def look(bench: Bench) -> Iterator[Any]:
+    def observe(bench: Bench) -> Iterator[Any]:
         yield bench.rig.now
         return bench.handed[which]
 
-    return look
+    return observe
 
 
-def _ways(bench: Bench) -> Iterator[Any]:
+def _moved_steps(bench: Bench) -> Iterator[Any]:
     """Return the steps of a move of +0.1 mm in all axes: 25, or -25 where inverted."""
     before = bench.place()
     yield from bench.move("G91G0X0.1Y0.1Z0.1")
@@ -265,13 +265,13 @@ def _roundness_mm(bench: Bench) -> Iterator[Any]:
     x = y = 0.0
     nearest = 1.0
     for _, row in bench.rows:
-        x += _made(row, 0) / _PER_MM
-        y += _made(row, 1) / _PER_MM
+        x += _signed_steps(row, 0) / _PER_MM
+        y += _signed_steps(row, 1) / _PER_MM
         nearest = min(nearest, math.hypot(x - 1, y))
     return round(nearest, 1)
 
 
-def _made(row: "array[int]", axis: int) -> int:
+def _signed_steps(row: "array[int]", axis: int) -> int:
     steps = row[ROW_AXES + ROW_STRIDE * axis]
     return -steps if row[ROW_DIRS] >> axis & 1 else steps
 
@@ -307,17 +307,17 @@ def _homed_at(bench: Bench) -> Iterator[Any]:
     return [float(x) for x in (yield from bench.report())["MPos"].split(",")]
 
 
-def _homing(leg: int) -> Look:
+def _homing_speed(leg: int) -> Look:
     """Return an observation: the speed of a leg of homing, in mm/min.
 
     leg: counted from the last one, 1: off the switch, 2: to it, 3: off, 4: to it …
     """
 
-    def look(bench: Bench) -> Iterator[Any]:
+    def observe(bench: Bench) -> Iterator[Any]:
         yield from bench.move("$H")
         return bench.speed_mm_min(bench.legs()[-leg], 0)
 
-    return look
+    return observe
 
 
 def _homing_rest_ms(bench: Bench) -> Iterator[Any]:
@@ -331,63 +331,63 @@ def _homing_rest_ms(bench: Bench) -> Iterator[Any]:
 def _power_of(line: str) -> Look:
     """Return an observation: the spindle's power (0 to 255) at rest after a line."""
 
-    def look(bench: Bench) -> Iterator[Any]:
+    def observe(bench: Bench) -> Iterator[Any]:
         yield from bench.say(line + "\n")
         power = bench.port.spindle_pwm
         yield from bench.say("M5\n")
         return power
 
-    return look
+    return observe
 
 
 def _steps_per_mm(axis: int) -> Look:
     """Return an observation: the steps that an axis makes for 1 mm."""
 
-    def look(bench: Bench) -> Iterator[Any]:
+    def observe(bench: Bench) -> Iterator[Any]:
         before = bench.place()[axis]
         yield from bench.move(f"G91G0{_AXES[axis]}1")
         moved = bench.place()[axis] - before
         yield from bench.move(f"G91G0{_AXES[axis]}-1")
         return moved
 
-    return look
+    return observe
 
 
 def _rapid_mm_min(axis: int) -> Look:
     """Return an observation: the speed of a rapid of 1 mm."""
 
-    def look(bench: Bench) -> Iterator[Any]:
+    def observe(bench: Bench) -> Iterator[Any]:
         yield from bench.move(f"G91G0{_AXES[axis]}1")
         speed = bench.speed_mm_min(bench.rows, axis)
         yield from bench.move(f"G91G0{_AXES[axis]}-1")
         return speed
 
-    return look
+    return observe
 
 
 def _rapid_ms(axis: int) -> Look:
     """Return an observation: the duration of a rapid of 0.5 mm, to 10 ms."""
 
-    def look(bench: Bench) -> Iterator[Any]:
+    def observe(bench: Bench) -> Iterator[Any]:
         yield from bench.move(f"G91G0{_AXES[axis]}0.5")
         (start, _), (last, row) = bench.rows[0], bench.rows[-1]
         yield from bench.move(f"G91G0{_AXES[axis]}-0.5")
         return 10 * round((last + row[ROW_TICKS] - start) / _TICKS_PER_MS / 10)
 
-    return look
+    return observe
 
 
-def _reaches(axis: int) -> Look:
+def _answer_beyond_travel(axis: int) -> Look:
     """Return an observation: the answer to a jog of 1.5 mm away from the axis' end."""
 
-    def look(bench: Bench) -> Iterator[Any]:
+    def observe(bench: Bench) -> Iterator[Any]:
         """Jog away from the end, and back if that was accepted."""
         (answer,) = yield from bench.say(f"$J=G91{_AXES[axis]}-1.5F500\n")
         if answer == "ok":
             yield from bench.say(f"$J=G91{_AXES[axis]}1.5F500\n")
         return answer
 
-    return look
+    return observe
 
 
 def _punch(bench: Bench) -> Iterator[Any]:
@@ -405,10 +405,10 @@ def _pwm_hz(bench: Bench) -> Iterator[Any]:
 _EFFECTS: "list[Row]" = [
     # number, other value, changed defaults, observation, result for the default, for the other
     # value
-    (0, 7, {}, _handed(0), 10, 7),
+    (0, 7, {}, _configured(0), 10, 7),
     (1, 100, {}, _released_ms, 25, 100),
-    (2, 3, {}, _handed(1), 0, 3),
-    (3, 5, {}, _ways, [25, 25, 25], [-25, 25, -25]),
+    (2, 3, {}, _configured(1), 0, 3),
+    (3, 5, {}, _moved_steps, [25, 25, 25], [-25, 25, -25]),
     (4, 1, {}, _level_in_motion, 0, 1),
     (5, 1, {}, _pins, "", "XYZ"),
     (6, 1, {}, _probing, ("", 50), ("ALARM:4", 0)),
@@ -420,8 +420,8 @@ _EFFECTS: "list[Row]" = [
     (21, 1, {}, _hard_limit, "", "ALARM:1"),
     (22, 1, {}, _homes, "error:5", "ok"),
     (23, 1, _HOMED, _homed_at, [-1, -1, -1], [-9, -1, -1]),
-    (24, 60, _HOMED, _homing(2), 25, 60),
-    (25, 300, _HOMED, _homing(1), 500, 300),
+    (24, 60, _HOMED, _homing_speed(2), 25, 60),
+    (25, 300, _HOMED, _homing_speed(1), 500, 300),
     (26, 100, _HOMED, _homing_rest_ms, 250, 100),
     (27, 2, _HOMED, _homed_at, [-1, -1, -1], [-2, -2, -2]),
     (30, 500, {}, _power_of("M3S250"), 64, 128),
@@ -433,7 +433,14 @@ for _axis in range(3):
         (100 + _axis, 125, {}, _steps_per_mm(_axis), 250, 125),
         (110 + _axis, 300, {}, _rapid_mm_min(_axis), 500, 300),
         (120 + _axis, 20, {}, _rapid_ms(_axis), 80, 320),
-        (130 + _axis, 3, {**_HOMED, 20: 1, 130 + _axis: 1}, _reaches(_axis), "error:15", "ok"),
+        (
+            130 + _axis,
+            3,
+            {**_HOMED, 20: 1, 130 + _axis: 1},
+            _answer_beyond_travel(_axis),
+            "error:15",
+            "ok",
+        ),
     ]
 
 
@@ -463,7 +470,7 @@ def test_every_setting_has_an_observation() -> None:
     assert [row[0] for row in _LASER_EFFECTS] == [row[0] for row in laser_settings]
 
 
-def _tell(bench: Bench, row: "Row") -> None:
+def _check_effect(bench: Bench, row: "Row") -> None:
     """Check a setting's effect after each kind of change.
 
     row: number, other value, changed defaults, observation, its result for the default, and for
@@ -495,22 +502,22 @@ def _tell(bench: Bench, row: "Row") -> None:
 @pytest.mark.sampled(5)
 @pytest.mark.parametrize("row", _EFFECTS, ids=[f"${row[0]}" for row in _EFFECTS])
 def test_a_setting_has_its_effect_after_any_kind_of_change(row: "Row") -> None:
-    _tell(Bench(row[2]), row)
+    _check_effect(Bench(row[2]), row)
 
 
 @pytest.mark.parametrize("row", _PUNCH_EFFECTS, ids=[f"${row[0]}" for row in _PUNCH_EFFECTS])
 def test_a_setting_of_a_punch_has_its_effect(row: "Row") -> None:
-    _tell(Bench({}, "sim_punch"), row)
+    _check_effect(Bench({}, "sim_punch"), row)
 
 
 @pytest.mark.parametrize("row", _LASER_EFFECTS, ids=[f"${row[0]}" for row in _LASER_EFFECTS])
 def test_a_setting_of_a_laser_has_its_effect(row: "Row") -> None:
-    _tell(Bench({}, "sim_laser"), row)
+    _check_effect(Bench({}, "sim_laser"), row)
 
 
 def test_the_report_setting_of_grbl_09_has_its_effect() -> None:
     ((number, *_),) = settings_09
-    _tell(Bench({}, "sim_09j"), (number, 6, {}, _fields_09, "MPos WPos", "WPos Buf"))
+    _check_effect(Bench({}, "sim_09j"), (number, 6, {}, _fields_09, "MPos WPos", "WPos Buf"))
 
 
 # Effects outside the table
@@ -583,8 +590,8 @@ def test_a_new_speed_range_stops_the_spindle(change: str) -> None:
     bench.run(script())
 
 
-@pytest.mark.parametrize(("change", "asks"), [("$13=1", True), ("$10=3", False)])
-def test_only_inches_cause_a_report_of_the_work_offset(change: str, asks: bool) -> None:
+@pytest.mark.parametrize(("change", "is_reported"), [("$13=1", True), ("$10=3", False)])
+def test_only_inches_cause_a_report_of_the_work_offset(change: str, is_reported: bool) -> None:
     """WCO is in the first report; later, $13 (inches) brings it at once, and $10 does not."""
     bench = Bench({})
 
@@ -594,7 +601,7 @@ def test_only_inches_cause_a_report_of_the_work_offset(change: str, asks: bool) 
             yield from bench.report()
         assert "WCO" not in (yield from bench.report())
         yield from bench.change(change)
-        assert ("WCO" in (yield from bench.report())) == asks
+        assert ("WCO" in (yield from bench.report())) == is_reported
 
     bench.run(script())
 

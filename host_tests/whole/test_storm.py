@@ -123,7 +123,7 @@ class Machine:
         self.port.watch_probe(self.touch, True)
 
 
-def changed(name: str, changes: "dict[str, Any]") -> ModuleType:
+def board_with(name: str, changes: "dict[str, Any]") -> ModuleType:
     board = ModuleType(name)
     vars(board).update({**vars(load_board(name)), **changes, "__name__": name})
     return board
@@ -137,10 +137,10 @@ def made(
     (tmp_path / "stormy.py").write_text(CUSTOM)
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
-    return Machine(changed(*EXTRAS.get(request.param, (request.param, {}))), monkeypatch)
+    return Machine(board_with(*EXTRAS.get(request.param, (request.param, {}))), monkeypatch)
 
 
-def most_a_ms(calls: "list[int]") -> int:
+def most_in_a_ms(calls: "list[int]") -> int:
     """Return the largest number of interrupts in any millisecond. calls: their times in us."""
     return max(
         (
@@ -151,7 +151,7 @@ def most_a_ms(calls: "list[int]") -> int:
     )
 
 
-def weather(made: Machine, pin: Any, shape: "tuple[int, int]") -> "dict[str, Any]":
+def storm_effects(made: Machine, pin: Any, shape: "tuple[int, int]") -> "dict[str, Any]":
     """Run a storm on one pin, and 30 ms after it; return its effects. shape: open and closed
     us."""
     cpu = made.cpu
@@ -162,7 +162,7 @@ def weather(made: Machine, pin: Any, shape: "tuple[int, int]") -> "dict[str, Any
     cpu.late_us = cpu.turns = 0
     cpu.storm([pin], *shape, STORM_US)
     turns = cpu.turns
-    effects = {"armed": armed, "heard": bool(cpu.calls), "most a ms": most_a_ms(cpu.calls)}
+    effects = {"armed": armed, "heard": bool(cpu.calls), "most a ms": most_in_a_ms(cpu.calls)}
     cpu.run(30_000)
     effects["armed again"] = bool(pin.trigger) or made.contacts > contacts
     return effects | {"late us": cpu.late_us, "turns": turns}
@@ -176,7 +176,7 @@ def test_a_storm_on_any_interrupting_pin_starves_nothing(made: Machine) -> None:
     def act() -> None:
         for pin in made.pins():
             for shape in STORMS:
-                results.append((pin.id, shape, weather(made, pin, shape)))
+                results.append((pin.id, shape, storm_effects(made, pin, shape)))
 
     made.run(act)
     assert results
@@ -197,7 +197,7 @@ def test_interference_on_power_fail_interrupts_once_a_turn_and_the_next_edge_aga
     shape: "tuple[int, int]", monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each turn of the main loop polls the pin and allows the next interrupt."""
-    made = Machine(changed("rpi_pico", {"POWER_FAIL": _POWER_PIN}), monkeypatch)
+    made = Machine(board_with("rpi_pico", {"POWER_FAIL": _POWER_PIN}), monkeypatch)
     pin = machine.Pin(_POWER_PIN)
     pin.drive(0)  # closed: the supply is good
     cpu, rig = made.cpu, made.rig
@@ -225,8 +225,8 @@ def test_pin_interrupts_are_set_up_in_one_place_only() -> None:
     engine.py has the PIO's, not a pin's; the motion library has its own, without a machine.
     """
     modules = [path for path in FIRMWARE.rglob("*.py") if path.parent.name != "ugrbl_motion"]
-    asks = {path.name for path in modules if ".irq(" in path.read_text()}
-    assert asks == {"input_pins.py", "power_input.py", "engine.py"}
+    files_with_irq = {path.name for path in modules if ".irq(" in path.read_text()}
+    assert files_with_irq == {"input_pins.py", "power_input.py", "engine.py"}
 
 
 @pytest.fixture
@@ -235,7 +235,7 @@ def pico(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Machine:
     (tmp_path / "stormy.py").write_text(CUSTOM)
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
-    return Machine(changed(*EXTRAS["inputs"]), monkeypatch)
+    return Machine(board_with(*EXTRAS["inputs"]), monkeypatch)
 
 
 def test_the_supervisor_stops_a_main_loop_hanging_in_a_storm(
@@ -272,7 +272,7 @@ def test_the_supervisor_stops_a_main_loop_hanging_in_a_storm(
     assert all(250 <= ms <= 260 and on and not off for ms, on, off in stopped.values()), stopped
 
 
-class Noted:
+class EventTimes:
     """Record the times of events of inputs."""
 
     def __init__(self, made: Machine) -> None:
@@ -311,14 +311,14 @@ def test_a_lasting_change_is_reported_2_ms_after_a_storm_and_at_once_on_other_pi
 ) -> None:
     """Delays from closing a pin to its event, begun 0 to 2.2 ms after storms on the pin itself
     (after_storm_us), and on another pin at the same time (after_other_us)."""
-    noted = Noted(pico)
+    event_times = EventTimes(pico)
     after_storm_us: list[int] = []
     after_other_us: list[int] = []
     pin, other = PINS[name]  # other: an input of another kind; None: none
 
-    def closes() -> int:
+    def close_and_measure_us() -> int:
         """Close the pin for 5 ms; return the delay between that and its event, in us."""
-        events_us = getattr(noted, name)
+        events_us = getattr(event_times, name)
         events_us.clear()
         closed_us = pico.cpu.us
         machine.Pin(pin).drive(0)  # closed
@@ -330,18 +330,18 @@ def test_a_lasting_change_is_reported_2_ms_after_a_storm_and_at_once_on_other_pi
     def act() -> None:
         """Measure after storms of 5 ms, which end 0, 0.2 … 2.2 ms before the pin closes."""
         pico.pins()
-        pico.port.attach(noted)
-        pico.port.watch_pins(noted.on_change)
+        pico.port.attach(event_times)
+        pico.port.watch_pins(event_times.on_change)
         for after_us in range(0, 2_400, 200):
             # Both start anew: a probe is watched for one contact only.
             pico.port.enable_limits(True)
-            pico.port.watch_probe(noted.on_contact, True)
+            pico.port.watch_probe(event_times.on_contact, True)
             pico.cpu.storm([machine.Pin(pin)], 17, 3, 5_000)  # us: open, closed, duration
             pico.cpu.run(after_us)
-            after_storm_us.append(closes())
+            after_storm_us.append(close_and_measure_us())
             if other:
                 pico.cpu.storm([machine.Pin(other)], 17, 3, 5_000)
-                after_other_us.append(closes())
+                after_other_us.append(close_and_measure_us())
 
     pico.run(act)
     assert len(after_storm_us) == 12 and max(after_storm_us) <= PEACE_US + 100, after_storm_us
@@ -350,18 +350,18 @@ def test_a_lasting_change_is_reported_2_ms_after_a_storm_and_at_once_on_other_pi
 
 def test_a_bouncing_contact_is_reported_at_its_first_lasting_touch(pico: Machine) -> None:
     """Three touches of 5 us are over before the probe is read; pin 12, the probe, then closes."""
-    noted = Noted(pico)
+    event_times = EventTimes(pico)
 
     def act() -> None:
         """Bounce three times, then close: watch_probe() reports the contact to noted."""
         pico.pins()
-        pico.port.watch_probe(noted.on_contact, True)
+        pico.port.watch_probe(event_times.on_contact, True)
         # Open for 60 us and closed for 5, three times.
         pico.cpu.storm([machine.Pin(12)], 60, 5, 3 * 65)
-        noted.probe.append(pico.cpu.us)  # the time of the lasting touch, before its event's
+        event_times.probe.append(pico.cpu.us)  # the time of the lasting touch, before its event's
         machine.Pin(12).drive(0)
         pico.cpu.run(100)
 
     pico.run(act)
-    closed_us, event_us = noted.probe
+    closed_us, event_us = event_times.probe
     assert event_us - closed_us <= 50

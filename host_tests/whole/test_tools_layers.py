@@ -6,12 +6,12 @@ import re
 from functools import cache
 from pathlib import Path
 
-from test_layers import circles, too_long
+from test_layers import modules_on_cycles, too_long
 
 TOOLS = Path(__file__).parents[2] / "tools"
 
 # Allowed imports of each package, including those for mypy only. All may import paths.
-ROOMS: "dict[str, tuple[str, ...]]" = {
+PACKAGES: "dict[str, tuple[str, ...]]" = {
     "grbl": (),
     "sim": (),
     "boardfile": ("grbl", "sim"),
@@ -24,7 +24,7 @@ ROOMS: "dict[str, tuple[str, ...]]" = {
     "web": ("grbl", "sim", "boardfile", "run", "draw", "device"),
     "docs": ("grbl", "sim", "boardfile", "run", "replay"),
 }
-ROOMS["cli"] = tuple(ROOMS)
+PACKAGES["cli"] = tuple(PACKAGES)
 GROUND = ("", "paths")  # the package itself, for its version
 # Modules for terminals and exit. `make docs` is a command, too; kernels asks typer for the user's
 # folder.
@@ -82,25 +82,25 @@ def base(node: ast.ImportFrom, path: Path) -> "str | None":
 
 def imports(path: Path) -> set[str]:
     """Return every module of tools/ that a file imports, including imports for mypy only."""
-    found = set()
+    names = set()
     for node in ast.walk(trees()[path]):
         if isinstance(node, ast.ImportFrom) and (source := base(node, path)) is not None:
             for alias in node.names:
                 # `from .folder import a` imports the module folder.a, if there is one.
                 member = f"{source}.{alias.name}".lstrip(".")
-                found.add(member if member in MODULES else source)
-    return found
+                names.add(member if member in MODULES else source)
+    return names
 
 
-def strangers(path: Path) -> set[str]:
+def foreign_imports(path: Path) -> set[str]:
     """Return the foreign packages that a file imports."""
-    found = set()
+    names = set()
     for node in ast.walk(trees()[path]):
         if isinstance(node, ast.Import):
-            found |= {alias.name.partition(".")[0] for alias in node.names}
+            names |= {alias.name.partition(".")[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and not node.level:
-            found.add((node.module or "").partition(".")[0])
-    return found
+            names.add((node.module or "").partition(".")[0])
+    return names
 
 
 @cache
@@ -108,18 +108,18 @@ def all_imports() -> dict[str, set[str]]:
     return {name: imports(path) for name, path in MODULES.items()}
 
 
-def room(module: str) -> str:
+def package_of(module: str) -> str:
     return module.partition(".")[0]
 
 
 def may_import(module: str, used: str) -> bool:
-    if used in GROUND or room(used) == room(module):
+    if used in GROUND or package_of(used) == package_of(module):
         return True
-    return room(used) in ROOMS.get(room(module), ())
+    return package_of(used) in PACKAGES.get(package_of(module), ())
 
 
 def test_every_module_is_in_a_package() -> None:
-    assert {room(module) for module in MODULES} - set(GROUND) == set(ROOMS)
+    assert {package_of(module) for module in MODULES} - set(GROUND) == set(PACKAGES)
 
 
 def test_a_module_imports_only_from_lower_packages() -> None:
@@ -135,41 +135,44 @@ def test_a_module_imports_only_from_lower_packages() -> None:
 
 
 def test_a_package_imports_only_lower_packages() -> None:
-    assert not circles({name: set(lower) for name, lower in ROOMS.items()})
+    assert not modules_on_cycles({name: set(lower) for name, lower in PACKAGES.items()})
 
 
 def test_a_package_uses_all_its_allowed_imports() -> None:
     """ROOMS: the packages that each package may import; it must import all of them.
 
-    cli is left out: it may import all. room(): the package of a module.
+    cli is left out: it may import all.
     """
-    used = {name: set() for name in ROOMS}
+    used = {name: set() for name in PACKAGES}
     for module, others in all_imports().items():
-        if room(module) in used:
-            used[room(module)] |= {room(other) for other in others} - {room(module), *GROUND}
-    allowed = {name: set(lower) for name, lower in ROOMS.items() if name != "cli"}
+        if package_of(module) in used:
+            used[package_of(module)] |= {package_of(other) for other in others} - {
+                package_of(module),
+                *GROUND,
+            }
+    allowed = {name: set(lower) for name, lower in PACKAGES.items() if name != "cli"}
     assert {name: used[name] for name in allowed} == allowed
 
 
 def test_imports_have_no_cycle() -> None:
-    assert not circles(all_imports()), "these import one another, or one that does"
+    assert not modules_on_cycles(all_imports()), "these import one another, or one that does"
 
 
 def test_a_package_documents_its_purpose_and_its_imports() -> None:
     """Its docstring has several paragraphs; the last one names the packages in ROOMS as `name`."""
-    for name, lower in ROOMS.items():
+    for name, lower in PACKAGES.items():
         docstring = ast.get_docstring(trees()[TOOLS / name / "__init__.py"])
         assert docstring and docstring.partition("\n\n")[2], f"{name}: purpose and imports"
         if name != "cli":  # which imports all of them
             last_paragraph = docstring.rpartition("\n\n")[2]
-            assert {other for other in ROOMS if re.search(rf"`{other}`", last_paragraph)} == set(
-                lower
-            ), name
+            assert {
+                other for other in PACKAGES if re.search(rf"`{other}`", last_paragraph)
+            } == set(lower), name
 
 
 def test_only_commands_use_the_screen() -> None:
-    others = [name for name in MODULES if room(name) not in SCREENS and name not in SCREENS]
-    assert not [name for name in others if strangers(MODULES[name]).intersection(SCREEN)]
+    others = [name for name in MODULES if package_of(name) not in SCREENS and name not in SCREENS]
+    assert not [name for name in others if foreign_imports(MODULES[name]).intersection(SCREEN)]
 
 
 def writes(path: Path) -> bool:
@@ -188,8 +191,8 @@ def writes(path: Path) -> bool:
 
 def test_only_the_atomic_writer_writes_files() -> None:
     on_board = TOOLS / "device" / "selftest" / "on_board"
-    found = {name for name, path in MODULES.items() if on_board not in path.parents}
-    assert {name for name in found if writes(MODULES[name])} == WRITERS
+    names = {name for name, path in MODULES.items() if on_board not in path.parents}
+    assert {name for name in names if writes(MODULES[name])} == WRITERS
 
 
 def test_functions_and_files_stay_short() -> None:

@@ -4,8 +4,8 @@ The laws: one answer per line; the reported position is the motors'; and after a
 $X make the machine work again. UGRBL_TORTURE sets the number of seeds (`make torture`).
 
 Every method that is an Iterator is a part of the script; `yield self._rig.ms(20)` waits 20 ms of
-the machine's time. _hear() reads and counts answers, _until(text) waits for a line that begins so,
-_go_on() resumes after a hold, and _tell(text) adds the last lines to a message of a failure.
+the machine's time. _read_answers() also counts them, _wait_for(text) waits for a line that begins
+so, _resume() ends a hold, and _with_log(text) adds the last lines to a message of a failure.
 """
 
 import os
@@ -39,7 +39,7 @@ _SESSIONS = [
     for seed in (range(_SEEDS) if _ASKED or k == 0 else (k % 2,))
 ]
 # An ESP32's engine may finish a step that has begun when it is stopped, and be one off.
-_LOOSE = 1  # step
+_ESP_TOLERANCE = 1  # step
 _ROUNDS = 12  # of talking, stopping or cutting the power
 _WINDOW = 127  # bytes without an answer
 _PATIENCE_MS = 120_000  # for all answers, and the end of motion
@@ -66,12 +66,12 @@ _OF_MORE_AXES = "A.5 A-1 B.3 B-.7 C1 C-.2 A1e3".split()
 
 
 class Torture:
-    """One machine under torture. motors: the axis of each; loose: allowed position error after a
-    stop."""
+    """One machine under torture."""
 
-    def __init__(self, seed: int, motors: str, loose: int) -> None:
-        """Make the machine. motors: a letter each, "XYZY" has two on Y; loose: in steps."""
-        self._loose = loose
+    def __init__(self, seed: int, motors: str, tolerance_steps: int) -> None:
+        """Make the machine. motors: a letter each, "XYZY" has two on Y; tolerance_steps: after a
+        stop."""
+        self._tolerance_steps = tolerance_steps
         self._stopped = False  # since positions were compared
         self._random = random.Random(seed)
         self._axes = motor_names.count_axes(motors)
@@ -83,9 +83,9 @@ class Torture:
         self._words = _WORDS + (_OF_MORE_AXES if self._axes > 3 else [])
         self._rig = self.machine.rig
         self._log: deque[str] = deque(maxlen=40)
-        self._answers = 0  # counted by _hear()
+        self._answers = 0  # counted by _read_answers()
         self._offset: "list[int] | None" = None  # of the reported position against the motors
-        self._turned = 0  # $3 at that time
+        self._inverted_axes = 0  # $3 at that time
 
     def run(self) -> None:
         self.machine.run(self._script())
@@ -121,18 +121,18 @@ class Torture:
         yield from self._stream(lines, "\n")
         until = self._rig.ms(_PATIENCE_MS)
         while not (self.machine.idle() and self._answers >= len(lines)):
-            self._go_on()
-            assert self._rig.now < until, self._tell("no answer, or no end")
+            self._resume()
+            assert self._rig.now < until, self._with_log("no answer, or no end")
             yield self._rig.ms(20)
-            self._hear()
-        assert self._answers == len(lines), self._tell("one answer per line")
+            self._read_answers()
+        assert self._answers == len(lines), self._with_log("one answer per line")
 
     def _stream(self, lines: "list[str]", end: str) -> Iterator[Any]:
         """Send lines with character counting, each with up to three real-time bytes inside.
 
         A line waits until it fits into _WINDOW with those that are not answered yet.
         """
-        self._hear()
+        self._read_answers()
         self._answers = 0
         lengths: "list[int]" = []  # of all lines sent
         for text in lines:
@@ -142,8 +142,8 @@ class Torture:
                 line = line[:at] + self._random.choice(_HARMLESS) + line[at:]
             while sum(lengths[self._answers :]) + len(line) > _WINDOW:
                 yield self._rig.ms(5)
-                self._go_on()
-                self._hear()
+                self._resume()
+                self._read_answers()
             lengths.append(len(line))
             self._log.append(repr(line))
             self._rig.link.send(line.encode("latin-1"))
@@ -169,10 +169,10 @@ class Torture:
         yield self._rig.ms(self._random.uniform(1, 50))
         port = self._rig.port
         if self._rig.controller.state.run == st.ALARM:  # motion had to be stopped
-            moved = _most_apart(self.machine.physical(), place)
-            assert moved <= self._loose, self._tell("it moved on")
+            moved = _largest_difference(self.machine.physical(), place)
+            assert moved <= self._tolerance_steps, self._with_log("it moved on")
             outputs = (port.spindle_on, port.spindle_pwm, port.flood, port.mist)
-            assert not any(outputs), self._tell(f"outputs are on: {outputs}")
+            assert not any(outputs), self._with_log(f"outputs are on: {outputs}")
         self._stopped = True
         port.push({"reset": False, "limit_x": False, "limit_z": False})
         yield from self._recover()
@@ -191,20 +191,20 @@ class Torture:
     def _recover(self) -> Iterator[Any]:
         """Recover with Ctrl-X and $X."""
         yield self._rig.ms(_DEAF_MS)
-        self._hear()
+        self._read_answers()
         self._rig.link.send(b"\x18")
-        yield from self._until("Grbl 1.1h")
+        yield from self._wait_for("Grbl 1.1h")
         self._rig.link.send(b"$X\n")
-        yield from self._until("ok")
+        yield from self._wait_for("ok")
         until = self._rig.ms(_PATIENCE_MS)
         while not self.machine.idle():  # a startup line may move
-            assert self._rig.now < until, self._tell("it does not come to rest")
+            assert self._rig.now < until, self._with_log("it does not come to rest")
             yield self._rig.ms(20)
 
-    def _until(self, text: str) -> Iterator[Any]:
+    def _wait_for(self, text: str) -> Iterator[Any]:
         until = self._rig.ms(10_000)
-        while not any(line.startswith(text) for line in self._hear()):
-            assert self._rig.now < until, self._tell(f"no {text!r}")
+        while not any(line.startswith(text) for line in self._read_answers()):
+            assert self._rig.now < until, self._with_log(f"no {text!r}")
             yield self._rig.ms(5)
 
     def _compare(self) -> Iterator[Any]:
@@ -216,40 +216,40 @@ class Torture:
         controller: Any = self._rig.controller
         if controller.state.run == st.ALARM:
             self._rig.link.send(b"$X\n")
-            yield from self._until("ok")
+            yield from self._wait_for("ok")
         # Modes as at first; $10=1: reports have MPos.
         self._rig.link.send(b"G21G90G94G49G54\n$10=1\n")
-        yield from self._until("ok")
+        yield from self._wait_for("ok")
         yield self._rig.ms(20)
-        self._hear()
+        self._read_answers()
         self._rig.link.send(b"?")
-        yield from self._until("<")
+        yield from self._wait_for("<")
         reported = [round(mm * _STEPS_PER_MM) for mm in self.machine.reported()]
-        turned = controller.settings.dir_invert
+        inverted_axes = controller.settings.dir_invert
         motors = zip(self._axis_of, self.machine.physical(), strict=True)
         # Motors turn the other way on axes in $3.
-        made = [(axis, -steps if turned >> axis & 1 else steps) for axis, steps in motors]
+        made = [(axis, -steps if inverted_axes >> axis & 1 else steps) for axis, steps in motors]
         offset = [reported[axis] - steps for axis, steps in made]
-        if self._offset is not None and turned == self._turned:
-            error = _most_apart(offset, self._offset)
+        if self._offset is not None and inverted_axes == self._inverted_axes:
+            error = _largest_difference(offset, self._offset)
             # Only a stop since then may have made a difference.
-            assert error <= self._loose * self._stopped, self._tell(
+            assert error <= self._tolerance_steps * self._stopped, self._with_log(
                 "the reported position is wrong"
             )
-        self._offset, self._turned, self._stopped = offset, turned, False
-        assert controller.state.run == st.IDLE, self._tell("it is not idle")
+        self._offset, self._inverted_axes, self._stopped = offset, inverted_axes, False
+        assert controller.state.run == st.IDLE, self._with_log("it is not idle")
 
-    def _go_on(self) -> None:
+    def _resume(self) -> None:
         if self._rig.controller.state.run & (st.HOLD | st.DOOR):
             self._rig.link.send(b"~")
 
-    def _hear(self) -> "list[str]":
+    def _read_answers(self) -> "list[str]":
         lines = self.machine.take()
         self._answers += sum(line == "ok" or line.startswith("error:") for line in lines)
         self._log += lines
         return lines
 
-    def _tell(self, what: str) -> str:
+    def _with_log(self, what: str) -> str:
         return what + "\n" + "\n".join(self._log)
 
 
@@ -264,7 +264,7 @@ def _board(motors: str) -> ModuleType:
     return board
 
 
-def _most_apart(one: "list[int]", other: "list[int]") -> int:
+def _largest_difference(one: "list[int]", other: "list[int]") -> int:
     return max(abs(a - b) for a, b in zip(one, other, strict=True))
 
 
@@ -279,7 +279,7 @@ def test_a_tortured_machine_answers_keeps_its_position_and_recovers(
     """
     if engine != "sim":
         _have_engine(engine, monkeypatch)
-    Torture(seed, motors, 0 if engine == "sim" else _LOOSE).run()
+    Torture(seed, motors, 0 if engine == "sim" else _ESP_TOLERANCE).run()
 
 
 def _have_engine(name: str, patch: pytest.MonkeyPatch) -> None:
