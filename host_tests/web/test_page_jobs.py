@@ -194,6 +194,17 @@ def test_check_mode_checks_program_without_motion(person):
     assert person.machine.lines().count("$C") == 2  # check mode on and off
 
 
+def test_check_pressed_twice_moves_nothing(person):
+    """A second $C would switch the check mode off, and the program would be executed."""
+    person.loads("G21 G90\nG1 X20 F600\nG1 X5\n")
+    person.waits("!$('check').disabled")
+    person.page.evaluate("$('check').click(); $('check').click()")
+    person.reads("#job-words", "Check done")
+    person.waits("grbl.state === 'Idle' && !grbl.linesUnderWay")
+    assert person.shown_place() == [0, 0, 0]
+    assert person.machine.lines().count("$C") == 2  # on and off
+
+
 def test_start_from_line_lists_its_first_moves_and_asks(person):
     """A job is started at line 6.
 

@@ -111,6 +111,21 @@ def test_macro_asks_for_numbers_and_runs_line_by_line(person):
     assert person.text("#macros").strip() == "Down"  # macros are stored in the browser
 
 
+def test_job_does_not_start_between_lines_of_macro(person):
+    """The machine is Idle in a dwell, but the lines behind it are still to be sent."""
+    person.loads("G21 G90\nG0 X1\n")
+    lines = "G4 P1\nG91\nG0 Z1\nG90"
+    person.page.evaluate(f"macros = [{{ name: 'up', lines: `{lines}` }}]; renderMacros()")
+    person.click("#macros button")
+    person.pauses(0.3)
+    disabled = person.page.evaluate("['run', 'zero-all', 'go-zero'].map((id) => $(id).disabled)")
+    assert disabled == [True] * 3
+    person.page.evaluate("run()")
+    person.rests_at(0, 0, 1)
+    assert "G0 X1" not in person.machine.lines()
+    person.waits("!$('run').disabled")
+
+
 def test_macro_ends_at_refused_line(person, tmp_path):
     """G1 X5 has no feed and is refused, so the line after it is not sent.
 

@@ -105,6 +105,15 @@ def test_confirmation_is_possible_while_page_asks_for_modes(person):
     assert person.page.evaluate(script) is False
 
 
+def test_confirmation_while_probing_begins_sends_nothing(person):
+    """Else its lines were between those of the probing: G90 before G38.2 Z-20."""
+    pauses_at_change(person)
+    person.page.evaluate("$('probe-run').click(); $('tool-go').click()")
+    person.waits("grbl.state === 'Run'")
+    assert programs_lines(person)[-2:] == ["G21 G91", "G38.2 Z-20 F100"]
+    person.click("#stop")
+
+
 def test_modes_are_restored_after_change(person):
     """The job has inches, relative moves and G54; other modes are set during the change."""
     job = "G20 G91 G1 F30\nX0.1\nM6\nX0.1\nY0.2\n"

@@ -46,7 +46,7 @@ async function runMacro({ name, lines }) {
 }
 
 function renderMacros() {
-  $("macros").replaceChildren(...macros.map((macro) => make("button", { "data-needs": "idle", disabled: !NEEDS.idle(), onclick: () => runMacro(macro) }, macro.name)));
+  $("macros").replaceChildren(...macros.map((macro) => make("button", { "data-needs": "idle", disabled: !NEEDS.idle(), onclick: () => alone(() => runMacro(macro)) }, macro.name)));
   if (!macros.length) $("macros").append(make("span", { className: "small faint" }, t`None yet.`));
 }
 

@@ -29,14 +29,10 @@ function outlineLines([low, high], feed, { up, laser }) {
   return [`G21 G90 G0 ${words[0]}`, ...words.slice(1).map((place, index) => `G1 ${place}${index ? "" : ` F${feed} M3 S${laser}`}`), "M5 G0"];
 }
 
-$("outline").onclick = async () => {
+$("outline").onclick = () => alone(async () => {
   const box = cutBox(program.path);
   if (!box) return trouble(t`The program cuts nothing: there is no outline.`);
-  try {
-    await readAtRest();
-  } catch (error) {
-    return trouble(error.message);
-  }
+  await readAtRest();
   const [low, high] = box, isLaser = grbl.setting(32) === 1, z = grbl.workMm()[2];
   const { highest } = program.readTo(program.lines.length + 1), up = Number.isFinite(highest) && highest > z ? highest : null;
   const laser = isLaser ? Math.max(1, Math.round(OUTLINE_POWER * (grbl.setting(30) || 1000))) : null;
@@ -52,4 +48,4 @@ $("outline").onclick = async () => {
       return trouble(t`The outline ends here. ${line}\n${explained(answer)}`);
     }
   }
-};
+});

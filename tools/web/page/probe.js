@@ -20,7 +20,6 @@ const PROBE_KINDS = {
     picture: [["metal", 35, 66, 50, 12], ["tool", 56, 10, 8, 36]], way: "M60 48v14", lines: lengthLines, run: probeLength },
 };
 const probeSet = { kind: "plate", side: "left", ...readProbe() };
-let probing = false;
 
 function readProbe() {
   try {
@@ -94,12 +93,10 @@ async function probeRun(act) {
   await readAtRest();
   if (grbl.pins.includes("P")) throw new Error(t`The probe touches already. Lift the tool, or turn $6 round.`);
   const before = ["G20", "G90"].filter((mode) => grbl.modes.includes(mode));
-  probing = true;
   try {
     await sendLines(["G21 G91"]);
     await act();
   } finally {
-    probing = false;
     if (!is("Alarm") && grbl.drives && before.length) await grbl.send(before.join(" "));
   }
 }
@@ -165,7 +162,7 @@ function svg(tag, attributes) {
   return element;
 }
 
-$("probe-run").onclick = async () => {
+$("probe-run").onclick = () => alone(async () => {
   const kind = PROBE_KINDS[probeSet.kind], say = (text, tone) => Object.assign($("probe-says"), { textContent: text, className: `small ${tone}` });
   say(t`Probing …`, "");
   try {
@@ -175,5 +172,5 @@ $("probe-run").onclick = async () => {
     say(error.message, "bad");
   }
   renderProbe();
-};
+});
 grbl.on("status", () => setText("probe-state", grbl.pins.includes("P") ? t`The probe touches.` : t`The probe is open.`));

@@ -92,22 +92,15 @@ grbl.on("change", () => {
   } else if (toolPause?.place) renderToolChange();
 });
 
-$("tool-go").onclick = async () => {
+$("tool-go").onclick = () => alone(async () => {
   const pause = toolPause;
-  if (probing || pause.goes) return;
-  pause.goes = true;
-  try {
-    await readAtRest();
-    for (const line of toolChangeLines()) {
-      if (toolPause !== pause) return;
-      await sendLines([line]);
-    }
-    if (toolPause === pause) job.toolChanged();
-  } catch (error) {
-    pause.goes = false;
-    trouble(error.message);
+  await readAtRest();
+  for (const line of toolChangeLines()) {
+    if (toolPause !== pause) return;
+    await sendLines([line]);
   }
-};
+  if (toolPause === pause) job.toolChanged();
+});
 $("tool-end").onclick = () => job.end();
 $("tool-up").onclick = () => grbl.send(`$J=G21 G90 ${word("Z", safeZ())} F${zFeed() * (grbl.inches ? MM_PER_INCH : 1)}`);
 for (const [id, kind] of [["tool-length", "length"], ["tool-plate", "plate"]]) {
