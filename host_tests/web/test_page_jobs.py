@@ -93,6 +93,36 @@ def test_file_that_is_no_program_is_refused_with_reason(person, name, content, w
     assert not person.page.query_selector("#notice-trouble")
 
 
+def test_file_that_is_read_while_job_begins_does_not_replace_it(person):
+    """Else the page would go on sending the job, but could neither end nor follow it."""
+    person.loads(FAR)
+    person.waits("!$('run').disabled")
+    person.page.evaluate("""() => {
+        const read = new Promise((resolve) => setTimeout(() => resolve("G0 X-7"), 500));
+        openJob({ name: "slow.nc", text: () => read });
+        $("run").click();
+    }""")
+    person.reads("#notice-trouble", "A job is running")
+    assert person.text("#job-name").startswith("job.nc") and person.page.evaluate("busy()")
+
+
+def test_file_dropped_on_question_is_not_run_instead(person):
+    """The way to line 3 of one program would lead into another one."""
+    person.loads("G21 G90\nG0 Z2\nG1 X5 F600\nG0 Z5\n")
+    person.page.fill("#from", "3")
+    person.click("#run")
+    person.waits("$('dialog').open")
+    person.page.evaluate("""() => {
+        const dataTransfer = new DataTransfer();
+        dataTransfer.items.add(new File(["G21\\nG0 X1\\nG0 X2\\nG0 X44"], "other.nc"));
+        $("dialog").dispatchEvent(new DragEvent("drop", { bubbles: true, dataTransfer }));
+    }""")
+    person.pauses(0.3)
+    person.click("#dialog-yes")
+    person.reads("#job-words", "Job done")
+    assert "G0 X44" not in person.machine.lines() and "G1 X5 F600" in person.machine.lines()
+
+
 def test_comment_in_other_encoding_is_accepted(person):
     """A file in Latin-1, with a letter that is no UTF-8, is run."""
     (person.folder / "old.nc").write_bytes("G0 X1 (f\u00fcr)\n".encode("latin-1"))
