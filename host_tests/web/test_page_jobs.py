@@ -146,6 +146,18 @@ def test_ended_job_keeps_position(person):
     assert sent_at_once(person.machine) == b"!\x18"
 
 
+def test_job_ended_with_door_open_does_not_go_on(person):
+    """Resume after the door would execute what the machine still has of the ended job."""
+    person.loads(FAR)
+    person.click("#run")
+    person.waits("grbl.machine[0] > 2")
+    person.machine.write(b"\x84")  # safety door
+    person.sees("Door")
+    person.click("#end")
+    person.reads("#job-words", "it was ended; the position is kept")
+    person.sees("Idle")
+
+
 def test_ended_job_names_line_in_execution(person):
     """The line named at the end is the one executed, not the last one answered.
 
