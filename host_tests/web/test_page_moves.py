@@ -233,6 +233,25 @@ def test_leaving_page_stops_jog(person, event):
     assert 0 < stopped_at_mm[0] < 40
 
 
+def test_hold_stops_held_jog(person):
+    """A hold is a jog cancel for Grbl, so the next piece of the jog would move on."""
+    person.press("[data-jog='X+']")
+    person.sees("Jog")
+    person.page.keyboard.press("!")
+    stopped_at_mm = person.shown_place()
+    person.pauses(0.5)
+    assert person.place() == stopped_at_mm and 0 < stopped_at_mm[0] < 40
+
+
+def test_command_key_stops_jog_by_key(person):
+    """macOS tells of no key's release while Command is down."""
+    person.click("#keys")
+    person.page.keyboard.down("ArrowRight")
+    person.sees("Jog")
+    person.page.keyboard.down("Meta")
+    assert 0 < person.shown_place()[0] < 40
+
+
 def test_lost_pointer_stops_jog(person):
     person.press("[data-jog='X+']")
     person.sees("Jog")

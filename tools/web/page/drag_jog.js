@@ -86,4 +86,3 @@ $("plot").addEventListener("keydown", (event) => {
 });
 $("plot").addEventListener("keyup", (event) => endDrag("release", event.key));
 $("plot").addEventListener("blur", () => endDrag("abort"));
-addEventListener("blur", () => endDrag("abort"));
