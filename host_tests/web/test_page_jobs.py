@@ -295,6 +295,15 @@ def test_line_that_cannot_be_start_is_refused_with_reason(person, program, line,
     assert "G21 G90 G94 M5" not in person.machine.lines()
 
 
+def test_coordinate_system_set_just_before_start_is_known(person):
+    """G55 is chosen and a job begun at line 3 before the page has heard of it."""
+    person.loads("G21 G90\nG0 Z2\nG1 X5 F600\n")
+    person.page.fill("#from", "3")
+    person.waits("!$('run').disabled")
+    person.page.evaluate("grbl.send('G55'); $('run').click()")
+    person.reads("#notice-trouble", "The program is in G54 by then, and the machine in G55")
+
+
 # Files on the board
 
 
@@ -350,6 +359,15 @@ def test_job_of_board_is_shown_with_progress(keeper):
     keeper.reads("#job-words", "The board runs LONG.NC, ")
     keeper.click("#stop")
     keeper.sees("Alarm")
+
+
+def test_modes_that_job_of_board_has_set_are_known(keeper):
+    (keeper.folder / "jobs").mkdir(exist_ok=True)
+    (keeper.folder / "jobs" / "INCH.NC").write_text("G20 G91 G55\nG1 X0.1 F40\n")
+    keeper.click("#board-files")
+    keeper.click("[aria-label='Run INCH.NC on the board']")
+    keeper.click("#dialog-yes")
+    keeper.waits("['G20', 'G91', 'G55'].every((word) => grbl.modes.includes(word))")
 
 
 def test_machine_without_stored_files_says_so(person):

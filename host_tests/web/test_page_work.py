@@ -90,6 +90,16 @@ def test_typed_offset_is_in_displayed_units(person):
     person.waits("grbl.offsets.get('G56') === '0.000,25.400,0.000'")
 
 
+def test_offset_typed_just_after_g20_is_in_displayed_units(person):
+    person.click("#tabs [data-tab=offsets]")
+    person.page.wait_for_selector("[aria-label='G56 Y']")
+    script = """grbl.send("G20");
+        const field = document.querySelector("[aria-label='G56 Y']");
+        field.value = "25.4"; field.onchange({ target: field });"""
+    person.page.evaluate(f"() => {{ {script} }}")
+    person.waits("grbl.offsets.get('G56') === '0.000,25.400,0.000'")
+
+
 # Macros
 
 

@@ -79,12 +79,13 @@ function touched() {
   return success === "1" ? inMm(place.split(",").map(Number)) : null;
 }
 
-/** Wait until the lines sent before are executed, then read state, position, pins and offsets.
+/** Wait until the lines sent before are executed, then read state, position, pins, modes and offsets.
  * Until then the last report may be of the place before a move, the offsets of before a G10. */
 async function readAtRest() {
   await sendLines(["G4 P0"]);
   grbl.now(STATUS);
   await sendLines(["G4 P0"]); // its answer comes after the report
+  await grbl.send("$G", true);
   await grbl.send("$#", true);
 }
 
