@@ -330,6 +330,17 @@ def test_reports_in_inches_are_shown_and_jogged_in_inches(person_at):
     assert person.text(".facts [data-unit=rate]") == "in/min"
 
 
+def test_jog_feed_is_converted_to_unit_of_reports(person):
+    """Else 500 mm/min would become 500 in/min with $13=1."""
+    person.page.fill("#z-feed", "254")
+    person.types("$13=1")
+    person.reads("#steps", "in")
+    assert person.page.evaluate("[jogFeed(), zFeed()]") == [19.7, 10]
+    person.types("$13=0")
+    person.reads("#steps", "mm")
+    assert person.page.evaluate("[jogFeed(), zFeed()]") == [500, 254]
+
+
 def test_keyboard_alone_jogs_and_stops(person):
     """Buttons work by key: Space is a tap, held Enter a held button, and arrows change tabs."""
     person.page.fill("#jog-feed", "1200")
