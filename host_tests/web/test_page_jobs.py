@@ -57,6 +57,16 @@ def test_refused_line_holds_machine_and_is_named(person):
     person.rests_at(5, 0, 0)
 
 
+def test_key_of_resume_does_not_resume_after_refused_line(person):
+    """There the button is disabled, too: only `Go on without that line` and `End job` decide."""
+    person.loads("G21 G90\nG1 X30 F600\nBAD\nG1 X0\n")
+    person.click("#run")
+    person.waits("job?.state === 'refused' && grbl.state === 'Hold' && grbl.detail === '0'")
+    person.page.keyboard.press("~")
+    person.pauses(0.5)
+    assert person.machine.report()[0] == "Hold"
+
+
 def test_refused_line_is_skipped_only_after_machine_has_stopped(person_at):
     """Grbl ignores a resume while it brakes for a hold."""
     person = person_at({120: "10"})  # X brakes with only 10 mm/s²
