@@ -105,6 +105,15 @@ def test_confirmation_is_possible_while_page_asks_for_modes(person):
     assert person.page.evaluate(script) is False
 
 
+def test_board_is_not_restarted_in_change(person):
+    """A file for the board restarts it: the place of the pause would be another one then."""
+    pauses_at_change(person)
+    sent = len(person.machine.sent)
+    says = person.page.evaluate("micropython.enter().then(() => '', ({ message }) => message)")
+    assert says == "A job is running. End it first."
+    assert b"\x03" not in person.machine.sent[sent:]  # Ctrl-C
+
+
 def test_confirmation_while_probing_begins_sends_nothing(person):
     """Else its lines were between those of the probing: G90 before G38.2 Z-20."""
     pauses_at_change(person)

@@ -55,6 +55,7 @@ class Prompt {
   async enter(fresh = false) {
     const { state, link } = this.#grbl;
     if (state && !["Idle", "Alarm"].includes(state)) throw new Error(t`The machine is in ${state} and is not disturbed. Wait until it is idle.`);
+    if (busy() || acting) throw new Error(t`A job is running. End it first.`); // Idle, in a tool change or a dwell
     if (!(link instanceof SerialLink)) throw new Error(t`This needs the board's USB port: open the page from disk, and press Connect by USB.`);
     this.#text = "";
     this.#grbl.lend((bytes) => this.#hear(bytes));
