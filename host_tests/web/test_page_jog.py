@@ -230,6 +230,19 @@ def test_dragged_point_stays_within_soft_limits(homer):
     assert b"error" not in homer.machine.said
 
 
+def test_held_jog_replaces_longer_one(person):
+    """Its pieces would else begin where `Go to X0 Y0` ends, and not where the tool is."""
+    person.page.fill("#jog-feed", "600")
+    person.types("$J=G91 X40 F6000")
+    person.rests_at(40, 0, 0)
+    person.click("#go-zero")
+    person.waits("grbl.work[0] < 38")
+    person.press("[data-jog='X+']")
+    person.pauses(2)
+    person.page.mouse.up()
+    assert person.shown_place()[0] > 35
+
+
 def test_keys_move_point_and_enter_goes_there_while_held(person):
     """With the focus on the drawing, arrow keys move a target.
 

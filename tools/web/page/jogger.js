@@ -85,6 +85,7 @@ class Jogger {
   }
 
   #hold() {
+    if (!this.#cancelling && this.#grbl.state === "Jog") this.#cancel(); // its end is not the place of now
     if (this.#cancelling) { // the previous motion has not stopped yet
       this.#timer = setTimeout(() => this.#hold(), Jogger.HOLD_MS);
       return;
@@ -152,7 +153,7 @@ class Jogger {
 
   /** Grbl ignores a cancel that comes before the jog has begun, so it is repeated until Idle. */
   #cancel() {
-    this.#grbl.withdraw(this.#jog.line);
+    this.#grbl.withdraw(this.#jog?.line);
     this.#jog = null;
     this.#cancelling = true;
     this.#grbl.now(JOG_CANCEL);
