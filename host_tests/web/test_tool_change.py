@@ -105,6 +105,21 @@ def test_confirmation_is_possible_while_page_asks_for_modes(person):
     assert person.page.evaluate(script) is False
 
 
+def test_nothing_moves_before_place_of_pause_is_noted(person):
+    """Else the tool would return to where it was jogged in that half second."""
+    person.page.evaluate("""() => {
+        window.early = [];
+        const enabled = () => !$("go-zero").disabled || NEEDS.jog();
+        grbl.on("status", () => {
+            if (job?.state === "tool" && $("tool-change").hidden) early.push(enabled());
+        });
+    }""")
+    pauses_at_change(person)
+    early = person.page.evaluate("early")
+    assert early and not any(early)
+    person.waits("!$('go-zero').disabled")
+
+
 def test_board_is_not_restarted_in_change(person):
     """A file for the board restarts it: the place of the pause would be another one then."""
     pauses_at_change(person)

@@ -85,7 +85,7 @@ function renderToolChange() {
 
 grbl.on("change", () => {
   const pauses = job?.state === "tool" && grbl.drives;
-  if (pauses && !toolPause && job.rests && NEEDS.tool()) beginToolChange();
+  if (pauses && !toolPause && job.rests && asked() && is("Idle")) beginToolChange();
   else if (!pauses && toolPause) {
     toolPause = null;
     $("tool-change").hidden = true;
