@@ -24,7 +24,7 @@ def bits(x: float) -> int:
     return struct.unpack("<I", struct.pack("<f", x))[0] if x else 0
 
 
-def single(x: float) -> float:
+def to_single(x: float) -> float:
     """Round a double to single precision; return 0 where it is too small for a board."""
     if abs(x) >= _BEYOND:
         return math.copysign(math.inf, x)
@@ -39,17 +39,17 @@ def test_product_matches_single_precision(a: float, b: float) -> None:
     """multiply(a, i, b, j) changes a[i], also if it multiplies by itself."""
     values = array("f", (a, b))
     float32_math.multiply(values, 0, values, 1)
-    assert bits(values[0]) == bits(single(a * b))
+    assert bits(values[0]) == bits(to_single(a * b))
     values[0] = b
     float32_math.multiply(values, 0, values, 0)
-    assert bits(values[0]) == bits(single(b * b))
+    assert bits(values[0]) == bits(to_single(b * b))
 
 
 @given(any_numbers, any_numbers.filter(bool))
 def test_quotient_matches_single_precision(a: float, b: float) -> None:
     values = array("f", (a, b))
     float32_math.quotient(values, 0, values, 1)
-    assert bits(values[0]) == bits(single(a / b))
+    assert bits(values[0]) == bits(to_single(a / b))
 
 
 @given(any_numbers, any_numbers)
@@ -59,7 +59,7 @@ def test_quotient_matches_single_precision(a: float, b: float) -> None:
 def test_sum_matches_single_precision(a: float, b: float) -> None:
     values = array("f", (a, b))
     float32_math.add_single(values, 0, values, 1)
-    assert bits(values[1]) == bits(single(a + b))
+    assert bits(values[1]) == bits(to_single(a + b))
 
 
 @given(any_numbers)

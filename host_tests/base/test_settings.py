@@ -1,4 +1,7 @@
-"""Test the settings: the table is the only source, and stored values come back."""
+"""Test the settings: the table is the only source, and stored values come back.
+
+settings_at_start() are settings as loaded from a store; values_of() are their values by $-number.
+"""
 
 import ast
 import inspect
@@ -17,7 +20,7 @@ from ugrbl.sim.rig import MemoryStore
 SOURCE = inspect.getsource(module)
 
 
-def fresh(store: "MemoryStore | None" = None, **board) -> Settings:
+def settings_at_start(store: "MemoryStore | None" = None, **board) -> Settings:
     """Return settings as they are at a start. board: defaults, max_step_hz, step_pulse_min_us."""
     settings = Settings(store or MemoryStore(), 3, board.get("defaults", {}))
     settings.max_step_hz = board.get("max_step_hz", 0)
@@ -26,11 +29,11 @@ def fresh(store: "MemoryStore | None" = None, **board) -> Settings:
     return settings
 
 
-def shown(settings: Settings) -> "dict[int, float]":
+def values_of(settings: Settings) -> "dict[int, float]":
     return {number: value for number, value, _ in settings.each()}
 
 
-NUMBERS = sorted(shown(fresh()))
+NUMBERS = sorted(values_of(settings_at_start()))
 
 # The table
 
@@ -61,17 +64,17 @@ def test_rows_and_annotations_agree() -> None:
 def test_numbers_rise_and_are_used_once() -> None:
     numbers = [number for number, *_ in _TABLE]
     assert numbers == sorted(set(numbers))
-    assert NUMBERS == [number for number, *_ in fresh().each()]
+    assert NUMBERS == [number for number, *_ in settings_at_start().each()]
 
 
 def test_defaults_are_allowed_values() -> None:
-    settings = fresh()
-    for number, value in shown(settings).items():
+    settings = settings_at_start()
+    for number, value in values_of(settings).items():
         settings.set(number, value)
 
 
 def test_board_may_have_its_own_defaults() -> None:
-    assert shown(fresh(defaults={101: 80.0}))[101] == 80
+    assert values_of(settings_at_start(defaults={101: 80.0}))[101] == 80
 
 
 # Storing
@@ -84,32 +87,32 @@ changes = st.lists(st.tuples(st.sampled_from(NUMBERS), amounts), max_size=12)
 def test_stored_value_comes_back(changes: "list[tuple[int, float]]") -> None:
     """A refused change has no effect; a new object with the same store has the same values."""
     store = MemoryStore()
-    settings = fresh(store)
+    settings = settings_at_start(store)
     for number, amount in changes:
-        before = shown(settings)
+        before = values_of(settings)
         try:
             settings.set(number, amount)
         except GrblError:
-            assert shown(settings) == before
+            assert values_of(settings) == before
     again = Settings(store, 3, {})
     assert again.load()
-    assert shown(again) == shown(settings)
+    assert values_of(again) == values_of(settings)
 
 
 def test_fine_resolution_is_loaded_with_the_slow_rate_it_needs() -> None:
     """$100 = 5000 steps/mm is allowed only with a low $110, which is stored after it: 60 mm/min
     are 5000 steps/s."""
     store = MemoryStore()
-    settings = fresh(store, max_step_hz=30_000)
+    settings = settings_at_start(store, max_step_hz=30_000)
     settings.set(110, 60)
     settings.set(100, 5000)
-    assert shown(fresh(store, max_step_hz=30_000))[100] == 5000
+    assert values_of(settings_at_start(store, max_step_hz=30_000))[100] == 5000
 
 
 @pytest.mark.parametrize("least", [1, 2, 3])
 def test_pulses_are_at_least_as_long_as_the_board_says(least: int) -> None:
     """least: STEP_PULSE_MIN_US of the board; $0 is the length of pulses in us."""
-    settings = fresh(step_pulse_min_us=least)
+    settings = settings_at_start(step_pulse_min_us=least)
     settings.set(0, least)
     with pytest.raises(GrblError) as refused:
         settings.set(0, least - 1)
@@ -118,41 +121,41 @@ def test_pulses_are_at_least_as_long_as_the_board_says(least: int) -> None:
 
 def test_a_board_without_the_option_has_pulses_of_3_us_even_if_shorter_ones_are_stored() -> None:
     store = MemoryStore()
-    fresh(store, step_pulse_min_us=1).set(0, 1)
-    assert fresh(store, step_pulse_min_us=1).step_pulse_us == 1
-    assert fresh(store).step_pulse_us == 3
+    settings_at_start(store, step_pulse_min_us=1).set(0, 1)
+    assert settings_at_start(store, step_pulse_min_us=1).step_pulse_us == 1
+    assert settings_at_start(store).step_pulse_us == 3
 
 
 def test_soft_limits_are_loaded_with_the_homing_they_need() -> None:
     """$20 needs $22, which is loaded after it."""
     store = MemoryStore()
-    settings = fresh(store)
+    settings = settings_at_start(store)
     settings.set(22, 1)
     settings.set(20, 1)
-    assert fresh(store).soft_limits == 1
+    assert settings_at_start(store).soft_limits == 1
 
 
 def test_lines_of_another_firmware_are_kept() -> None:
     store = MemoryStore()
-    fresh(store)
+    settings_at_start(store)
     store.files["settings"].append("$341=2")  # a setting unknown here
-    settings = fresh(store)
+    settings = settings_at_start(store)
     settings.set(110, 700)
     assert "$341=2" in store.files["settings"]
-    assert shown(fresh(store))[110] == 700
+    assert values_of(settings_at_start(store))[110] == 700
 
 
 def test_restore_removes_changed_values() -> None:
-    settings = fresh()
+    settings = settings_at_start()
     settings.set(110, 700)
     settings.restore()
-    assert shown(settings) == shown(fresh())
+    assert values_of(settings) == values_of(settings_at_start())
 
 
 # Notification
 
 
-def heard(settings: Settings) -> "list[int]":
+def collect_changes(settings: Settings) -> "list[int]":
     """Return the list in which the numbers of later changes are collected."""
     numbers: list[int] = []
     settings.on_change(lambda: numbers.append(settings.changed))
@@ -161,8 +164,8 @@ def heard(settings: Settings) -> "list[int]":
 
 def test_every_subscriber_is_notified_of_every_change() -> None:
     """ALL: many settings at once, by restore() and load()."""
-    settings = fresh()
-    first, second = heard(settings), heard(settings)
+    settings = settings_at_start()
+    first, second = collect_changes(settings), collect_changes(settings)
     settings.set(110, 700)
     settings.set(112, 700)
     settings.restore()
@@ -173,7 +176,7 @@ def test_every_subscriber_is_notified_of_every_change() -> None:
 def test_subscriber_is_notified_after_the_change_and_before_it_is_stored() -> None:
     """It sees the new value, and the old lines in the store."""
     store = MemoryStore()
-    settings = fresh(store)
+    settings = settings_at_start(store)
     notified: list[object] = []
     settings.on_change(
         lambda: notified.append((settings.max_rate[0], list(store.files["settings"])))
@@ -187,8 +190,8 @@ def test_subscriber_is_notified_after_the_change_and_before_it_is_stored() -> No
 @pytest.mark.parametrize(("number", "amount"), [(0, 2), (20, 1), (40, 1), (110, -1)])
 def test_refused_change_is_not_notified(number: int, amount: float) -> None:
     """Too short a pulse, soft limits without homing, an unknown number, a negative rate."""
-    settings = fresh()
-    numbers = heard(settings)
+    settings = settings_at_start()
+    numbers = collect_changes(settings)
     with pytest.raises(GrblError):
         settings.set(number, amount)
     assert numbers == []
@@ -201,7 +204,7 @@ def test_defaults_after_unreadable_settings_are_notified_once(kept: object) -> N
     if kept:
         store.files["settings"] = kept
     settings = Settings(store, 3, {})
-    numbers = heard(settings)
+    numbers = collect_changes(settings)
     assert not settings.load()
     assert numbers == [ALL]
 
@@ -209,7 +212,7 @@ def test_defaults_after_unreadable_settings_are_notified_once(kept: object) -> N
 # Damage
 
 
-def boot(machine: Machine) -> "list[str]":
+def output_at_start(machine: Machine) -> "list[str]":
     """Switch the machine on and return its output."""
     machine.run(machine.start())
     return machine.received
@@ -239,20 +242,20 @@ def test_damaged_settings_are_restored_and_reported(damage: "list[str] | None") 
         del files["settings"]
     else:
         files["settings"] = damage
-    received = boot(machine)
+    received = output_at_start(machine)
     assert received[0] == "error:7"
     assert "$110=500.000" in received
     assert any(line.startswith("Grbl 1.1h") for line in received)
     machine = Machine(watched=False)
     machine.rig.store.files.update(files)
-    assert boot(machine)[:2] == ["", "Grbl 1.1h ['$' for help]"], "reported once"
+    assert output_at_start(machine)[:2] == ["", "Grbl 1.1h ['$' for help]"], "reported once"
 
 
 @given(st.lists(st.text("$=0123456789.eE-+ inf\x00\xff", max_size=20), max_size=8))
 def test_machine_starts_after_any_damage_to_stored_settings(lines: "list[str]") -> None:
     machine = Machine(watched=False)
     machine.rig.store.files["settings"] = lines
-    assert any(line.startswith("Grbl 1.1h") for line in boot(machine))
+    assert any(line.startswith("Grbl 1.1h") for line in output_at_start(machine))
 
 
 class NewStore(MemoryStore):
@@ -266,11 +269,11 @@ def test_new_board_stores_factory_settings_and_reports_them_once_after_the_welco
     machine = Machine(watched=False)
     machine.rig.store = store = NewStore()
     message = "[MSG:First start: factory settings]"
-    assert boot(machine) == ["", "Grbl 1.1h ['$' for help]", message]
+    assert output_at_start(machine) == ["", "Grbl 1.1h ['$' for help]", message]
     assert "$110=500" in store.files["settings"], "they are written"
     machine = Machine(watched=False)
     machine.rig.store = store
-    assert boot(machine) == ["", "Grbl 1.1h ['$' for help]"]
+    assert output_at_start(machine) == ["", "Grbl 1.1h ['$' for help]"]
 
 
 def test_reset_does_not_repeat_the_first_start_message() -> None:
@@ -281,7 +284,7 @@ def test_reset_does_not_repeat_the_first_start_message() -> None:
 
 
 def test_intact_settings_are_not_reported() -> None:
-    assert boot(Machine({110: 700})) == ["", "Grbl 1.1h ['$' for help]"]
+    assert output_at_start(Machine({110: 700})) == ["", "Grbl 1.1h ['$' for help]"]
 
 
 class FullStore(MemoryStore):

@@ -95,23 +95,23 @@ def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description="What a board can do, as a table.")
     parser.add_argument("parts", nargs="*", metavar="PART", help=", ".join(_PARTS))
     parser.add_argument("--columns", default=f"{_PLAIN},{_CACHE}", help="plain, cache or both")
-    asked = parser.parse_args()
-    unknown = [name for name in asked.parts if name not in _PARTS]
+    arguments = parser.parse_args()
+    unknown = [name for name in arguments.parts if name not in _PARTS]
     if unknown:
         parser.error(f"no part {', '.join(unknown)}; there are {', '.join(_PARTS)}")
-    return asked
+    return arguments
 
 
 def main() -> None:
     """Print rows as soon as they are measured."""
-    asked = _arguments()
+    arguments = _arguments()
     port = os.environ.get("PORT", "")
-    benches = _benches(port, os.environ.get(CHIP.image, ""), asked.columns.split(","))
+    benches = _benches(port, os.environ.get(CHIP.image, ""), arguments.columns.split(","))
     if port:
         print(f"on hardware, at {port}")
     else:
         print(head([_CACHE if bench.cache else "emulated" for bench in benches]))
-    for name in asked.parts or _PARTS:
+    for name in arguments.parts or _PARTS:
         if port and name in _EMULATED_ONLY:
             print(f"{name}: emulated boards only")
             continue

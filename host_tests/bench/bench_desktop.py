@@ -24,24 +24,24 @@ _FEEDS = [line + b"F12%02d" % (i % 100) for i, line in enumerate(_SHORT[1:6001])
 
 def _loop_s() -> float:
     """Return the seconds for one turn of a plain Python loop."""
-    since = perf_counter()
+    begin_s = perf_counter()
     total = 0
     for i in range(_LOOPS):
         total += i & 3
-    return (perf_counter() - since) / _LOOPS
+    return (perf_counter() - begin_s) / _LOOPS
 
 
 def _measure(name: str, lines: "list[bytes]", check: bool = False) -> str:
     figures = []
     for _ in range(_RUNS):
-        before = _loop_s()
-        since = perf_counter()
+        loop_before_s = _loop_s()
+        begin_s = perf_counter()
         result, _ = run_program(lines, settings=_SETTINGS, check=check)
-        seconds = perf_counter() - since
-        loop = (before + _loop_s()) / 2
+        seconds = perf_counter() - begin_s
+        loop_s = (loop_before_s + _loop_s()) / 2
         assert not result.errors, result.errors[:3]
         figures.append(
-            (seconds / len(lines), seconds / len(lines) / loop, result.totals.time_s / seconds)
+            (seconds / len(lines), seconds / len(lines) / loop_s, result.totals.time_s / seconds)
         )
     line, turns, speed = (median(column) for column in zip(*figures, strict=True))
     real = "" if check else f"{speed:8.1f} times real time"

@@ -100,9 +100,9 @@ class Bench:
         if self._wire is None:
             self._wire = SerialWire(self.port)
             reset(Talk(self._wire))
-            said = Talk(self._wire).ask("$$").split("\r\n")
+            answer = Talk(self._wire).ask("$$").split("\r\n")
             changed = {line.partition("=")[0] for line in (*SETTINGS, "$32=")}
-            self._settings = [line for line in said if line.partition("=")[0] in changed]
+            self._settings = [line for line in answer if line.partition("=")[0] in changed]
         talk = Talk(self._wire)
         self._talks.clear()
         if self._runs:
@@ -132,5 +132,5 @@ def inside(talk: Talk, command: str) -> "list[int]":
     talk.wire.received.clear()
     talk.wire.send(command.encode() + b"\n")
     talk.wait(b".]\r\nok\r\n")
-    said = talk.wire.received.decode("latin-1").partition("[MSG:")[2].partition(".]")[0]
-    return [int(number) for number in said.split()]
+    answer = talk.wire.received.decode("latin-1").partition("[MSG:")[2].partition(".]")[0]
+    return [int(number) for number in answer.split()]

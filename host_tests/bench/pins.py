@@ -47,19 +47,20 @@ def share(bench: Bench) -> Iterator[Row]:
     """
     talk = bench.talk(MAIN)
     idle(talk)
-    (at_rest,) = inside(talk, f"$COUNT={_LOOKED_US}")
+    (idle_turns,) = inside(talk, f"$COUNT={_LOOKED_US}")
     for name, lines in _LONG.items():
         for line in lines:
             talk.ask(line)
         talk.pause_us(30_000)
-        (moving,) = inside(talk, f"$COUNT={_LOOKED_US}")
-        yield Row(f"interrupt's share, {name}", 100 * (1 - moving / at_rest), "%")
+        (moving_turns,) = inside(talk, f"$COUNT={_LOOKED_US}")
+        yield Row(f"interrupt's share, {name}", 100 * (1 - moving_turns / idle_turns), "%")
         _stop(talk)
     for rate in _BLOCKS_S:
         looked_us = round(0.8 * _WAITING / rate * 1e6)
-        (at_rest,) = inside(talk, f"$COUNT={looked_us}")
-        moving = _count_short(talk, rate, looked_us)
-        yield Row(f"interrupt's share, {rate} blocks/s", 100 * (1 - moving / at_rest), "%")
+        (idle_turns,) = inside(talk, f"$COUNT={looked_us}")
+        moving_turns = _count_short(talk, rate, looked_us)
+        share_percent = 100 * (1 - moving_turns / idle_turns)
+        yield Row(f"interrupt's share, {rate} blocks/s", share_percent, "%")
         idle(talk)
 
 
@@ -96,17 +97,17 @@ def hold(bench: Bench) -> Iterator[Row]:
     phases of segments and main loop.
     """
     talk, board = _recorded(bench)
-    found = []
+    delays_us = []
     for phase_us in _PHASES_US:
         talk.ask(f"G91 G1 X20 F{60 * _HELD_HZ / _STEPS_MM:.0f}")
         talk.pause_us(30_000 + phase_us)
         board.pico.edges.clear()
-        since = talk.wire.now_us()
+        sent_us = talk.wire.now_us()
         talk.wire.send(b"!")
         talk.pause_us(90_000)
-        found.append(_first_late(board) - since)
+        delays_us.append(_first_late(board) - sent_us)
         reset(talk)
-    mean, worst = figures(found)
+    mean, worst = figures(delays_us)
     yield Row("! to the first slower step, mean", mean, "ms", "held")
     yield Row("! to the first slower step, worst", worst, "ms")
 
@@ -132,20 +133,20 @@ def rates(bench: Bench) -> Iterator[Row]:
         board.pico.edges.clear()
         talk.ask("G91 G1 " + "".join(f"{axis}{_FAST_MM}" for axis in "XYZ"[:axes]) + "F999999")
         idle(talk)
-        tracks = [[us for us, _ in steps(board.pico.edges, axis)] for axis in range(axes)]
+        step_times_us = [[us for us, _ in steps(board.pico.edges, axis)] for axis in range(axes)]
         after = _position(board)
-        middle = (tracks[0][0] + tracks[0][-1]) / 2
-        gaps = [
+        middle_us = (step_times_us[0][0] + step_times_us[0][-1]) / 2
+        gaps_us = [
             b - a
-            for track in tracks
-            for a, b in pairwise(track)
-            if abs(a - middle) < _CRUISE_US / 2
+            for times_us in step_times_us
+            for a, b in pairwise(times_us)
+            if abs(a - middle_us) < _CRUISE_US / 2
         ]
         name = f"{axes} axis" if axes == 1 else f"{axes} axes"
-        yield Row(f"step rate, {name}", 1e3 * len(gaps) / sum(gaps), "kHz each", name)
-        yield Row(f"step rate, {name}, shortest interval", min(gaps), "us")
-        due = _FAST_MM * _STEPS_MM
-        wrong = sum(abs(len(track) - due) for track in tracks)
+        yield Row(f"step rate, {name}", 1e3 * len(gaps_us) / sum(gaps_us), "kHz each", name)
+        yield Row(f"step rate, {name}, shortest interval", min(gaps_us), "us")
+        steps_due = _FAST_MM * _STEPS_MM
+        wrong = sum(abs(len(times_us) - steps_due) for times_us in step_times_us)
         wrong += sum(abs(b - a - _FAST_MM) > 0.5 / _STEPS_MM for a, b in zip(before, after[:axes]))
         yield Row(f"step rate, {name}, steps missing or reported wrong", wrong)
     board.pico.edges.clear()

@@ -33,10 +33,10 @@ def run(talk: Talk, code: str) -> str:
     talk.wire.received.clear()
     talk.wire.send(code.encode() + b"\x04")
     talk.wait(b"\x04>", _CODE_US)
-    said, wrong, _ = talk.wire.received.decode("latin-1").removeprefix("OK").split("\x04", 2)
-    if wrong:
-        raise RuntimeError(wrong)
-    return said
+    output, exception, _ = talk.wire.received.decode("latin-1").removeprefix("OK").split("\x04", 2)
+    if exception:
+        raise RuntimeError(exception)
+    return output
 
 
 def start_firmware(talk: Talk, main: bytes) -> None:

@@ -113,33 +113,33 @@ def stream(
     wire = talk.wire
     under_way: deque[int] = deque()
     answered = sent = 0
-    begun = ended = wire.now_us()
-    query_at = first_at = 0.0
-    next_query = wire.now_us() + query_every_us
-    latencies: list[float] = []
-    first: list[float] = []
+    begun_us = ended_us = wire.now_us()
+    query_at_us = first_at_us = 0.0
+    next_query_us = wire.now_us() + query_every_us
+    answer_us: list[float] = []
+    first_byte_us: list[float] = []
     waiting = blocks
     skip = min(len(lines) // 10 + blocks, len(lines) // 2, _MOST_SKIPPED)
     wire.received.clear()
-    while answered < len(lines) and (answered <= skip or wire.now_us() < begun + limit_us):
+    while answered < len(lines) and (answered <= skip or wire.now_us() < begun_us + limit_us):
         while sent < len(lines) and sum(under_way) + len(lines[sent]) + 1 <= window:
             wire.send(lines[sent].encode() + b"\n")
             under_way.append(len(lines[sent]) + 1)
             sent += 1
-        if query_every_us and not query_at and wire.now_us() >= next_query:
+        if query_every_us and not query_at_us and wire.now_us() >= next_query_us:
             wire.send(b"?")
-            query_at = wire.now_us()
+            query_at_us = wire.now_us()
         wire.turn()
-        if query_at and not first_at and b"<" in wire.received:
-            first_at = wire.now_us()
+        if query_at_us and not first_at_us and b"<" in wire.received:
+            first_at_us = wire.now_us()
         while b"\n" in wire.received:
             line, _, rest = bytes(wire.received).partition(b"\n")
             wire.received[:] = rest
             if line.startswith(b"<"):
-                latencies.append(wire.now_us() - query_at)
-                first.append(first_at - query_at)
-                query_at = first_at = 0.0
-                next_query = wire.now_us() + query_every_us
+                answer_us.append(wire.now_us() - query_at_us)
+                first_byte_us.append(first_at_us - query_at_us)
+                query_at_us = first_at_us = 0.0
+                next_query_us = wire.now_us() + query_every_us
                 if skip < answered and sent < len(lines) and b"|Bf:" in line:
                     free = int(line.partition(b"|Bf:")[2].partition(b",")[0])
                     waiting = min(waiting, blocks - free)
@@ -147,24 +147,25 @@ def stream(
                 answered += 1
                 under_way.popleft()
                 if answered == skip:
-                    begun = wire.now_us()
-                ended = wire.now_us()
+                    begun_us = wire.now_us()
+                ended_us = wire.now_us()
             elif line.strip():
                 raise RuntimeError(f"line {answered + 1}: {line!r}")
-    return Streamed((answered - skip) / (ended - begun) * 1e6, first, latencies, waiting)
+    lines_s = (answered - skip) / (ended_us - begun_us) * 1e6
+    return Streamed(lines_s, first_byte_us, answer_us, waiting)
 
 
 def query_idle_us(talk: Talk, times: int = 20) -> "tuple[list[float], list[float]]":
     """Return the times from `?` to the first and to the last byte of the report, while idle."""
-    first, whole = [], []
+    first_us, whole_us = [], []
     for k in range(times):
         talk.pause_us(3_000 + 370 * k)
         talk.wire.received.clear()
-        since = talk.wire.now_us()
+        sent_us = talk.wire.now_us()
         talk.wire.send(b"?")
-        first.append(talk.wait(b"<") - since)
-        whole.append(talk.wait(b">\r\n") - since)
-    return first, whole
+        first_us.append(talk.wait(b"<") - sent_us)
+        whole_us.append(talk.wait(b">\r\n") - sent_us)
+    return first_us, whole_us
 
 
 def idle(talk: Talk) -> None:

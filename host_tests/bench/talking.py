@@ -110,10 +110,10 @@ def heap(bench: Bench) -> Iterator[Row]:
     for name, (sent, spindle) in kinds.items():
         for line in (spindle, "G90G1X10Y10F4000"):
             talk.ask(line)
-        third = len(sent) // 3
-        fewer = _left(talk, sent[:third])
-        more = _left(talk, sent[third:])
-        left = (more - fewer) / (len(sent) - 2 * third)
+        third_of_lines = len(sent) // 3
+        fewer = _left(talk, sent[:third_of_lines])
+        more = _left(talk, sent[third_of_lines:])
+        left = (more - fewer) / (len(sent) - 2 * third_of_lines)
         yield Row(f"heap per line, {name}", max(left, 0), "bytes")
     idle(talk)
     talk.ask("M5")
@@ -166,17 +166,18 @@ def lines(bench: Bench) -> Iterator[Row]:
     """Time streams of short moves, sent by character counting."""
     talk = bench.talk(MAIN)
     _at_start(talk)
-    made = stream(talk, list(short_moves(1000, _ASKED)), _BLOCKS, query_every_us=_QUERY_US)
-    yield Row(f"short moves, {_ASKED} asked, ? every 40 ms", made.lines_s, "lines/s", "streamed")
-    yield Row("least blocks in the planner then", made.waiting)
-    yield from _queried(made)
+    streamed = stream(talk, list(short_moves(1000, _ASKED)), _BLOCKS, query_every_us=_QUERY_US)
+    name = f"short moves, {_ASKED} asked, ? every 40 ms"
+    yield Row(name, streamed.lines_s, "lines/s", "streamed")
+    yield Row("least blocks in the planner then", streamed.waiting)
+    yield from _queried(streamed)
     _at_start(talk)
-    made = stream(talk, list(short_moves(250, _TOO_MUCH)), _BLOCKS)
-    yield Row(f"short moves, {_TOO_MUCH} asked", made.lines_s, "lines/s", "streamed")
+    streamed = stream(talk, list(short_moves(250, _TOO_MUCH)), _BLOCKS)
+    yield Row(f"short moves, {_TOO_MUCH} asked", streamed.lines_s, "lines/s", "streamed")
     idle(talk)
     talk.ask("$C")
-    made = stream(talk, list(short_moves(250)), _BLOCKS)
-    yield Row("short moves, check mode", made.lines_s, "lines/s", "checked")
+    streamed = stream(talk, list(short_moves(250)), _BLOCKS)
+    yield Row("short moves, check mode", streamed.lines_s, "lines/s", "checked")
     _leave_check(talk)
 
 
@@ -208,19 +209,19 @@ def long_lines(bench: Bench) -> Iterator[Row]:
     for name, lines in (*_LONG, _TWO_CHORDS):
         _at_start(talk)
         moves = _FIT // 2 if lines is _TWO_CHORDS[1] else _FIT
-        made = stream(talk, lines * (moves // len(lines)), _BLOCKS)
-        yield Row(f"a line with {name}", 1000 / made.lines_s, "ms a line")
+        streamed = stream(talk, lines * (moves // len(lines)), _BLOCKS)
+        yield Row(f"a line with {name}", 1000 / streamed.lines_s, "ms a line")
         idle(talk)
     talk = bench.talk(PLAIN)  # our commands read every line that begins with $
     for line in _ASKED_FOR:
-        times = []
+        times_us = []
         for _ in range(5):
             idle(talk)
             talk.wire.received.clear()
-            since = talk.wire.now_us()
+            sent_us = talk.wire.now_us()
             talk.wire.send(line.encode() + b"\n")
-            times.append(talk.wait(b"ok\r\n") - since)
-        yield Row(f"{line} to the end of its answer, mean", figures(times)[0], "ms")
+            times_us.append(talk.wait(b"ok\r\n") - sent_us)
+        yield Row(f"{line} to the end of its answer, mean", figures(times_us)[0], "ms")
     _at_start(talk)
 
 
@@ -230,9 +231,9 @@ def _leave_check(talk: Talk) -> None:
     talk.pause_us(20_000)
 
 
-def _queried(made: Streamed) -> Iterator[Row]:
+def _queried(streamed: Streamed) -> Iterator[Row]:
     """Yield the times of status reports in a stream."""
-    first, whole = figures(made.first_us), figures(made.query_us)
+    first, whole = figures(streamed.first_us), figures(streamed.query_us)
     yield Row("? while streaming, to the first byte, mean", first[0], "ms", "asked")
     yield Row("? while streaming, to the first byte, worst", first[1], "ms")
     yield Row("? while streaming, whole answer, mean", whole[0], "ms")
@@ -245,16 +246,16 @@ def special_lines(bench: Bench) -> Iterator[Row]:
     for line in ("$32=1", "$120=20000", "M4S0", "G90G1X10Y10F15000"):  # reaches 2500 dots/s
         talk.ask(line)
     idle(talk)
-    made = stream(talk, list(raster(300)), _BLOCKS)
-    yield Row("raster, G1 X S in M4", made.lines_s, "lines/s")
+    streamed = stream(talk, list(raster(300)), _BLOCKS)
+    yield Row("raster, G1 X S in M4", streamed.lines_s, "lines/s")
     idle(talk)
     talk.ask("$120=5000")
     _at_start(talk)
-    made = stream(talk, list(new_feeds(300)), _BLOCKS)
-    yield Row("short moves, a new F each", made.lines_s, "lines/s")
+    streamed = stream(talk, list(new_feeds(300)), _BLOCKS)
+    yield Row("short moves, a new F each", streamed.lines_s, "lines/s")
     _at_start(talk)
-    made = stream(talk, list(arcs(24)), _BLOCKS)
-    yield Row("half circles of 1 mm", made.lines_s, "lines/s")
+    streamed = stream(talk, list(arcs(24)), _BLOCKS)
+    yield Row("half circles of 1 mm", streamed.lines_s, "lines/s")
     idle(talk)
     talk.ask("M5")
     talk.ask("$32=0")
@@ -267,9 +268,9 @@ def clusters(bench: Bench) -> Iterator[Row]:
     talk = Talk(EmulatedWire(bench.board(files_of("pico_laser")).boot().settled()))
     for line in (*SETTINGS, *CLUSTERS, "G91G1F9000M4S0"):
         talk.ask(line)
-    made = stream(talk, list(streaming.clusters(150)), _BLOCKS)
-    yield Row("clusters of 16 dots, M4", made.lines_s, "lines/s")
-    yield Row("dots of clusters, M4", made.lines_s * CLUSTER, "dots/s")
+    streamed = stream(talk, list(streaming.clusters(150)), _BLOCKS)
+    yield Row("clusters of 16 dots, M4", streamed.lines_s, "lines/s")
+    yield Row("dots of clusters, M4", streamed.lines_s * CLUSTER, "dots/s")
 
 
 def axes(bench: Bench) -> Iterator[Row]:
@@ -291,8 +292,8 @@ def of_axes(bench: Bench, name: str) -> Iterator[Row]:
     with TemporaryDirectory() as folder:
         file = Path(folder, "axes.py")
         file.write_text(text, "utf-8")
-        made_of = build.for_board(for_this_chip(file)).files
-    board = bench.board({**dict.fromkeys(firmware()), **made_of, "main.py": MAIN})
+        build_files = build.for_board(for_this_chip(file)).files
+    board = bench.board({**dict.fromkeys(firmware()), **build_files, "main.py": MAIN})
     for pin in (*range(9, 16), *range(15, 23), 0, 1, 28):
         board.pico.drive(pin, 1)
     talk = Talk(EmulatedWire(board.boot().settled()))
@@ -303,8 +304,8 @@ def of_axes(bench: Bench, name: str) -> Iterator[Row]:
         talk.ask(line)
     talk.ask("G0" + "".join(f"{letter}10" for letter in letters))
     idle(talk)
-    made = stream(talk, list(in_all_axes(letters, 250, _TOO_MUCH)), _BLOCKS)
-    yield Row(f"short moves of {name}", made.lines_s, "lines/s", "streamed")
+    streamed = stream(talk, list(in_all_axes(letters, 250, _TOO_MUCH)), _BLOCKS)
+    yield Row(f"short moves of {name}", streamed.lines_s, "lines/s", "streamed")
     idle(talk)
     inside(talk, "$COLLECT=2")
     (free,) = inside(talk, "$FREE")
@@ -317,12 +318,12 @@ def chords(bench: Bench) -> Iterator[Row]:
     for line in CIRCLE:
         talk.ask(line)
     _at_start(talk)
-    made = stream(talk, circles(3), _BLOCKS)
-    yield Row("chords of circles", made.lines_s * CIRCLE_CHORDS, "chords/s")
+    streamed = stream(talk, circles(3), _BLOCKS)
+    yield Row("chords of circles", streamed.lines_s * CIRCLE_CHORDS, "chords/s")
     idle(talk)
     talk.ask("$C")
-    made = stream(talk, list(arcs(150)), _BLOCKS)
-    yield Row("half circles, check mode", made.lines_s, "lines/s")
+    streamed = stream(talk, list(arcs(150)), _BLOCKS)
+    yield Row("half circles, check mode", streamed.lines_s, "lines/s")
     _leave_check(talk)
     talk.ask("$12=0.002")
     set_up(talk)

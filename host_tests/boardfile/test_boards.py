@@ -37,14 +37,14 @@ PUNCH = {
     "SPINDLE_PWM": None,
     "SPINDLE_DIR": None,
 }
-OF_48: dict[str, Any] = {"CHIP": "rp2350b", "MPY_ARCH": "armv7emsp"}
+OF_48: dict[str, Any] = {"CHIP": "rp2350b", "MPY_ARCH": "armv7emsp"}  # 48 pins
 WIFI: dict[str, Any] = {
     "CHIP": "pico_w",
     "LINK": "wifi",
     "TOOL": "laser",
     "SPINDLE_PWM": 16,
 }
-EIGHT: dict[str, Any] = {
+EIGHT: dict[str, Any] = {  # motors
     **OF_48,
     "MOTORS": "XYZABCXY",
     "STEP": tuple(range(8)),
@@ -71,9 +71,9 @@ def test_every_existing_board_is_valid(name: str) -> None:
 
 @pytest.mark.parametrize("name", REAL)
 def test_board_has_a_description_and_the_arch_of_its_chip(name: str) -> None:
-    found: Any = load_board(name)
-    assert found.__doc__ and found.__doc__.strip().endswith(".")
-    assert not hasattr(found, "CHIP") or CHIPS[found.CHIP].mpy_arch == found.MPY_ARCH
+    module: Any = load_board(name)
+    assert module.__doc__ and module.__doc__.strip().endswith(".")
+    assert not hasattr(module, "CHIP") or CHIPS[module.CHIP].mpy_arch == module.MPY_ARCH
 
 
 @pytest.mark.parametrize("name", ["rpi_pico_w", "rpi_pico2"])
@@ -183,8 +183,8 @@ def test_board_is_data_only(name: str) -> None:
 )
 def test_mistake_is_named(changes: "dict[str, Any]", said: str) -> None:
     """said: what the only problem contains; "": there is no problem."""
-    texts = problems(board(**changes))
-    assert (said in texts[0] and len(texts) == 1) if said else texts == []
+    found = problems(board(**changes))
+    assert (said in found[0] and len(found) == 1) if said else found == []
 
 
 @pytest.mark.parametrize(
@@ -200,8 +200,8 @@ def test_defaults_are_only_for_settings_of_the_board(
     options: "dict[str, Any]", refused: str
 ) -> None:
     """$800 exists with JERK only, $780 with SKEW. refused: part of the problem; "": none."""
-    texts = problems(board(**options))
-    assert len(texts) == bool(refused) and all(refused in text for text in texts), texts
+    found = problems(board(**options))
+    assert len(found) == bool(refused) and all(refused in text for text in found), found
 
 
 @pytest.mark.parametrize("text", ["def install(cnc:\n", "1 / 0\n"])
@@ -248,10 +248,10 @@ def test_pins_that_affect_the_start_are_reported() -> None:
     esp32_uno = ModuleType("board")
     shield = {"STEP": (26, 25, 17), "DIR": (16, 27, 14)}
     esp32_uno.__dict__.update({**vars(load_board("esp32_devkit")), **shield})
-    texts = notes(esp32_uno)
-    enable = next(text for text in texts if text.startswith("ENABLE: pin 12 "))
+    found_notes = notes(esp32_uno)
+    enable = next(text for text in found_notes if text.startswith("ENABLE: pin 12 "))
     assert "does not start" in enable and "CNC shield" in enable
-    wrover = [text.split(":")[0] for text in texts if "WROVER" in text]
+    wrover = [text.split(":")[0] for text in found_notes if "WROVER" in text]
     assert wrover == ["STEP", "DIR"]
     assert not any("WROVER" in text for text in notes(load_board("esp32_devkit")))
     assert notes(load_board("rpi_pico")) == notes(load_board("sim")) == []

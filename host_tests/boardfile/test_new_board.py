@@ -83,9 +83,9 @@ def test_existing_board_can_be_made_again(file: Path) -> None:
         part for word in words for part in ("--pin", word.replace("(", "").replace(")", ""))
     ]
     assert ugrbl("router", "--chip", "esp32", *options, "-o", file).exit_code == 0
-    made: Any = load(file)
+    new_board: Any = load(file)
     for name in ("ENGINE", "LINK", "MPY_ARCH", "STEP", "DIR", "LIMIT", "CONTROL", "NO_PULL_UP"):
-        assert getattr(made, name) == getattr(existing, name), name
+        assert getattr(new_board, name) == getattr(existing, name), name
 
 
 def test_four_axes_are_possible(file: Path) -> None:

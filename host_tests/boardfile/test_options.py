@@ -51,7 +51,7 @@ def is_board(node: ast.expr) -> bool:
     return ast.unparse(node).endswith("board")
 
 
-def reads(tree: ast.AST) -> Iterator[Read]:
+def options_read_by(tree: ast.AST) -> Iterator[Read]:
     """Yield the options that a module reads.
 
     The forms are option("X", 1), getattr(board, "X", 1), hasattr(…), board.X, board.__dict__["X"],
@@ -80,7 +80,7 @@ def reads(tree: ast.AST) -> Iterator[Read]:
                 yield from (Read(name, None) for name in ast.literal_eval(names))
 
 
-def value(node: ast.expr, tree: ast.Module) -> Any:
+def default_value(node: ast.expr, tree: ast.Module) -> Any:
     """Return the value of a default; it may be a constant of its module (tree)."""
     for statement in tree.body:
         match node, statement:
@@ -90,18 +90,18 @@ def value(node: ast.expr, tree: ast.Module) -> Any:
     return ast.literal_eval(node)
 
 
-def read_in(folder: Path) -> "Iterator[tuple[str, Read, ast.Module]]":
+def options_read_in(folder: Path) -> "Iterator[tuple[str, Read, ast.Module]]":
     """Yield (file name, option that it reads, syntax tree) for all modules in a folder."""
     for file in sorted(folder.rglob("*.py")):
         tree = ast.parse(file.read_text("utf-8"))
-        yield from ((file.name, read, tree) for read in reads(tree))
+        yield from ((file.name, read, tree) for read in options_read_by(tree))
 
 
 @cache
-def everywhere() -> "list[tuple[str, Read, ast.Module]]":
+def all_options_read() -> "list[tuple[str, Read, ast.Module]]":
     """Return the same for firmware, simulator and self-test."""
     folders = (paths.FIRMWARE, paths.TOOLS / "sim", paths.TOOLS / "device/selftest/on_board")
-    return [row for folder in folders for row in read_in(folder)]
+    return [row for folder in folders for row in options_read_in(folder)]
 
 
 def test_all_forms_of_reading_an_option_are_found() -> None:
@@ -110,14 +110,14 @@ def test_all_forms_of_reading_an_option_are_found() -> None:
         'hasattr(self.board, "E")\nboard.__dict__.get("F", 6)\nPINS = ("G",)\n'
         '_ORDER = (("H", "h"), ("I", "i"))\n'
     )
-    found = {read.name: read.default for read in reads(ast.parse(text))}
+    found = {read.name: read.default for read in options_read_by(ast.parse(text))}
     assert set(found) == set("ABCDEFGHI")
     # only these have a default
     assert {name for name, default in found.items() if default} == set("ABF")
 
 
 def test_options_read_by_code_are_the_rows_of_the_table() -> None:
-    read = {read.name for _, read, _ in everywhere()}
+    read = {read.name for _, read, _ in all_options_read()}
     assert set(BY_NAME) - read == {"CHIP"}  # only tools read it
     assert read - set(BY_NAME) == set()
     assert len(BY_NAME) == len(OPTIONS)
@@ -125,10 +125,10 @@ def test_options_read_by_code_are_the_rows_of_the_table() -> None:
 
 def test_defaults_in_code_match_the_table() -> None:
     """The code's default of a NEEDED option is empty, because board_check requires the option."""
-    for file, read, tree in everywhere():
+    for file, read, tree in all_options_read():
         if not read.default:
             continue
-        in_code, in_table = value(read.default, tree), BY_NAME[read.name].default
+        in_code, in_table = default_value(read.default, tree), BY_NAME[read.name].default
         if in_table is NEEDED or in_code in _NOTHING:
             assert in_code in _NOTHING and (in_table is NEEDED or not in_table), (file, read.name)
         else:
@@ -167,14 +167,16 @@ def test_engine_is_complete() -> None:
 def test_engine_rate_matches_the_rate_at_its_shortest_pulse() -> None:
     """The table engines() states rates without an engine; here they are those of the engine
     classes."""
-    known, nobody = engines.engines(), cast("Any", None)
-    assert known["pio"].most_hz == PioEngine.max_step_hz(nobody, 3)  # 3 us
+    engine_table, no_engine = engines.engines(), cast("Any", None)
+    assert engine_table["pio"].most_hz == PioEngine.max_step_hz(no_engine, 3)  # 3 us
     frames = SimpleNamespace(_rate_hz=125_000, _frames_of=lambda us: 2)  # 2 frames: 16 us
-    assert known["i2s"].most_hz == i2s.I2sEngine.max_step_hz(cast("Any", frames), 16)
+    assert engine_table["i2s"].most_hz == i2s.I2sEngine.max_step_hz(cast("Any", frames), 16)
     rates = {
         board.MAX_STEP_RATE_HZ for board in map(load_board, boards()) if board.ENGINE == "rmt"
     }
-    assert {known["rmt"].most_hz} == rates, "its trains have gaps beyond: see esp32_devkit.py"
+    assert {engine_table["rmt"].most_hz} == rates, (
+        "its trains have gaps beyond: see esp32_devkit.py"
+    )
 
 
 def test_chip_names_an_engine_that_runs_on_it_and_an_existing_link() -> None:
@@ -194,9 +196,9 @@ def test_every_engine_has_a_chip_and_every_arch_a_chip() -> None:
 
 def test_maker_has_the_name_of_its_engine_or_link() -> None:
     """A build leaves out the imports of other engines and links: see compiling/build.py."""
-    made = {name: row[0] for name, row in parts._ENGINES.items()}
-    assert not made.keys() & parts._LINKS.keys()
-    for name, maker in {**made, **parts._LINKS}.items():
+    engine_makers = {name: row[0] for name, row in parts._ENGINES.items()}
+    assert not engine_makers.keys() & parts._LINKS.keys()
+    for name, maker in {**engine_makers, **parts._LINKS}.items():
         assert maker.__name__ == name
 
 

@@ -50,37 +50,39 @@ def is_fault(kind: str) -> bool:
     return kind not in classes() or any(base == "Exception" for base in classes()[kind])
 
 
-def calls(node: ast.AST) -> Iterator[str]:
+def calls_in(node: ast.AST) -> Iterator[str]:
     """Yield the calls made while the machine runs: not those of modules, classes and makers."""
     for child in ast.iter_child_nodes(node):
         if isinstance(child, ast.FunctionDef) and is_building(child.name):
             continue
         if isinstance(child, ast.Call):
             yield ast.unparse(child.func).rpartition(".")[2]
-        yield from calls(child)
+        yield from calls_in(child)
 
 
-def later() -> Iterator[tuple[str, str]]:
+def calls_while_running() -> Iterator[tuple[str, str]]:
     """Yield (module, name) of each call that may be made after the machine is built."""
     for module, tree in trees().items():
         for node in ast.walk(tree):
             if isinstance(node, ast.FunctionDef) and module not in BUILDING:
                 if not is_building(node.name):
-                    yield from ((module, name) for name in calls(node))
+                    yield from ((module, name) for name in calls_in(node))
 
 
 def test_no_maker_is_called_while_the_machine_runs() -> None:
-    assert [(module, name) for module, name in later() if is_maker(name)] == []
+    assert [(module, name) for module, name in calls_while_running() if is_maker(name)] == []
 
 
 def test_no_extra_registers_while_the_machine_runs() -> None:
     """Methods of Cnc that register something are removed from memory, too."""
     registering = {n for n in vars(api.Cnc) if any(word in n for word in api.MAKERS)}
     assert registering  # there are some
-    extras = [(m, n) for m, n in later() if m.startswith("extras.") and m != "extras.api"]
+    extras = [
+        (m, n) for m, n in calls_while_running() if m.startswith("extras.") and m != "extras.api"
+    ]
     assert [(module, name) for module, name in extras if name in registering] == []
 
 
 def test_no_object_is_created_while_the_machine_runs() -> None:
-    created = {name for _, name in later() if not is_fault(name)}
+    created = {name for _, name in calls_while_running() if not is_fault(name)}
     assert created - APART == set()

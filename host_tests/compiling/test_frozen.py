@@ -143,7 +143,7 @@ def test_build_names_the_frozen_firmware(made: build.Build, frozen: str) -> None
 # What MicroPython runs at a start
 
 
-def started(folder: Path) -> str:
+def output_of_main(folder: Path) -> str:
     """Run main.py as on a board; files in .frozen stand for frozen modules."""
     for name in ("base/frozen", "boot/power_up"):
         file = folder / ".frozen" / f"{name}.py"
@@ -162,14 +162,14 @@ def test_frozen_firmware_starts_after_an_interrupted_deployment(tmp_path: Path) 
     missing there."""
     (tmp_path / "boot").mkdir()
     (tmp_path / "boot" / "power_up.py").write_text("print('half')")
-    assert started(tmp_path) == "frozen\nfrozen\n"
+    assert output_of_main(tmp_path) == "frozen\nfrozen\n"
 
 
 def test_main_py_in_the_file_system_starts_in_its_place(tmp_path: Path) -> None:
     (tmp_path / "boot").mkdir()
     (tmp_path / "boot" / "power_up.py").write_text("print('files')")
     (tmp_path / "main.py").write_text("from boot import power_up")
-    assert started(tmp_path) == "files\n"
+    assert output_of_main(tmp_path) == "files\n"
 
 
 def test_doctor_reports_frozen_firmware() -> None:
@@ -204,7 +204,7 @@ def manifest(
         result = CliRunner().invoke(app, command[1:])
         return subprocess.CompletedProcess(command, result.exit_code, result.stdout, result.stderr)
 
-    def execute(missing: str = "", **environment: str) -> "tuple[list[str], set[str]]":
+    def run_manifest(missing: str = "", **environment: str) -> "tuple[list[str], set[str]]":
         """Run manifest.py with these variables; return includes and frozen files."""
         for name, value in environment.items():
             monkeypatch.setenv(name, value)
@@ -227,7 +227,7 @@ def manifest(
         return included, frozen
 
     monkeypatch.setattr(subprocess, "run", run)
-    return execute
+    return run_manifest
 
 
 Manifest = Callable[..., "tuple[list[str], set[str]]"]
@@ -331,8 +331,8 @@ def test_only_the_boards_own_files_lie_next_to_frozen_firmware(
     out = tmp_path / "all.uf2"
     result = ugrbl_uf2("--micropython", str(image), "-o", str(out))
     assert "which runs" in result.output and "are lost" in result.output
-    # [1]: files on the board after its first start
-    assert {*after_a_drag(out.read_bytes())[1]} == {"board.py", LIST}
+    _, files_after_start = after_a_drag(out.read_bytes())
+    assert {*files_after_start} == {"board.py", LIST}
 
 
 def test_files_are_used_before_frozen_firmware_of_another_build(

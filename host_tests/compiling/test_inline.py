@@ -40,7 +40,7 @@ def f(kinds):
 """
 
 
-def run(sources: "dict[str, str]") -> "dict[str, object]":
+def run_both(sources: "dict[str, str]") -> "dict[str, object]":
     """Run both modules; return what the user's module computes: É, and f() with another
     `kinds`."""
     module = ModuleType("kinds")
@@ -59,21 +59,21 @@ def run(sources: "dict[str, str]") -> "dict[str, object]":
 
 def test_inlined_module_gives_the_same_results() -> None:
     before = {"kinds": KINDS, "user": USER}
-    assert run(inline(before)) == run(before)
+    assert run_both(inline(before)) == run_both(before)
     # 49 = 3 << 4 | 1; 16 = double(3) = 3 * 3 + 7; LATER is 6 at the end
-    assert run(before) == {"É": ("é", 3, 49, "no number", 6, False), "f": (99, -2, 16, 4)}
+    assert run_both(before) == {"É": ("é", 3, 49, "no number", 6, False), "f": (99, -2, 16, 4)}
 
 
 def test_numbers_replace_names_and_no_line_moves() -> None:
-    after = inline({"kinds": KINDS, "user": USER})
-    assert after["kinds"].count("\n") == KINDS.count("\n")
-    lines = after["user"].splitlines()
+    inlined = inline({"kinds": KINDS, "user": USER})
+    assert inlined["kinds"].count("\n") == KINDS.count("\n")
+    lines = inlined["user"].splitlines()
     assert lines[2] == "from kinds import double" and lines[7] == "pass"
     assert lines[9] == 'É = "é", 3, 49, kinds.TEXT, k.LATER, False'
     # The parameter `kinds` hides the module, so kinds.NAME stays.
     assert lines[13] == "    return kinds.NAME, (-2), double(3), 2 - (-2)"
     # the definition is removed; _OWN is left to the compiler
-    assert "NAME = const" not in after["kinds"] and "x * 3 + _OWN" in after["kinds"]
+    assert "NAME = const" not in inlined["kinds"] and "x * 3 + _OWN" in inlined["kinds"]
 
 
 def test_every_constant_of_the_firmware_is_inlined() -> None:

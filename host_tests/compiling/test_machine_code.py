@@ -28,7 +28,7 @@ def kernels(tmp_path_factory: pytest.TempPathFactory) -> "dict[str, Path]":
     return files
 
 
-def computed(part: str, arch: str = "", file: "Path | None" = None) -> str:
+def output_of_vectors(part: str, arch: str = "", file: "Path | None" = None) -> str:
     """Return what vectors.py prints for this part: as Python, or by the machine code in `file` on
     a model of the processor `arch`."""
     script = f"""\
@@ -54,13 +54,13 @@ vectors.main()
 @pytest.mark.thorough
 @pytest.mark.parametrize("part", ["reals", "words", "blocks", "arcs"])
 def test_machine_code_computes_the_same_integers(kernels: "dict[str, Path]", part: str) -> None:
-    expected = computed(part)
+    expected = output_of_vectors(part)
     assert len(expected.splitlines()) > 300  # lines: it did compute
     for arch, file in kernels.items():
-        assert computed(part, arch, file) == expected, arch
+        assert output_of_vectors(part, arch, file) == expected, arch
 
 
-_MADE = """
+_KERNELS = """
 @micropython.viper
 def share(a: int, b: int) -> int:
     return a // b + 1000 * (a % b)
@@ -106,34 +106,34 @@ def none() -> int:
 
 
 @pytest.fixture(scope="module", params=[*compilers.PROCESSORS])
-def made(request: pytest.FixtureRequest) -> Board:
+def board(request: pytest.FixtureRequest) -> Board:
     """Return the test kernels, loaded on a model of each processor."""
-    return Board(*c_of(_MADE), request.param)
+    return Board(*c_of(_KERNELS), request.param)
 
 
-def test_machine_code_matches_viper(made: Board) -> None:
+def test_machine_code_matches_viper(board: Board) -> None:
     # Division rounds down: 7 // 2 + 1000 * (7 % 2) = 3 + 1000
     for a, b, expected in ((7, 2, 1003), (-7, 2, 996), (7, -2, -1004), (-7, -2, -997)):
-        assert made.call(("made", "share"), a, b) == expected
+        assert board.call(("made", "share"), a, b) == expected
     a, b = 0x12345678, -0x7654321
     wrapped = (a * b) ^ (a << 3) ^ (a >> 5)
     # 32 bits, signed
-    assert made.call(("made", "wraps"), a, b) == (wrapped + 2**31) % 2**32 - 2**31
+    assert board.call(("made", "wraps"), a, b) == (wrapped + 2**31) % 2**32 - 2**31
     words = array("i", [6, 7, 8])
-    assert made.call(("made", "mixed"), words, 2, 3) == 13 + 2  # 1, 3 make 13; a and k: 2
+    assert board.call(("made", "mixed"), words, 2, 3) == 13 + 2  # 1, 3 make 13; a and k: 2
     assert list(words) == [7, 7 | -1 << 16, 11]  # 6 | 1; the upper half of words[1] set; 8 + 3
-    assert made.call(("made", "none")) == 0x7FFFFFFF
+    assert board.call(("made", "none")) == 0x7FFFFFFF
 
 
-def test_address_may_be_passed_as_a_pointer(made: Board) -> None:
+def test_address_may_be_passed_as_a_pointer(board: Board) -> None:
     """through() passes the address of words[1] to mixed(): 13 + (a and k, 1), and share(7, 2) =
     1003."""
     words = array("i", [1, 2, 3])
-    assert made.call(("made", "through"), words, 1) == 13 + 1 + 1003
+    assert board.call(("made", "through"), words, 1) == 13 + 1 + 1003
     assert list(words) == [1, 3, 3 + 3 | -1 << 16]
 
 
-def test_object_is_called_with_objects(made: Board) -> None:
+def test_object_is_called_with_objects(board: Board) -> None:
     """ask() calls who(a, 5), then who(), and returns the first result plus 1. a needs more than 30
     bits, so it is no small integer on the board."""
     calls: list[tuple[int, ...]] = []
@@ -142,19 +142,19 @@ def test_object_is_called_with_objects(made: Board) -> None:
         calls.append(arguments)
         return sum(arguments)
 
-    assert made.call(("made", "ask"), who, -(1 << 30) - 5) == -(1 << 30) + 1
+    assert board.call(("made", "ask"), who, -(1 << 30) - 5) == -(1 << 30) + 1
     assert calls == [(-(1 << 30) - 5, 5), ()]
 
 
-def test_none_differs_from_an_existing_object(made: Board) -> None:
-    assert made.call(("made", "is_there"), None, 5) == 0
-    assert made.call(("made", "is_there"), print, 5) == 5
+def test_none_differs_from_an_existing_object(board: Board) -> None:
+    assert board.call(("made", "is_there"), None, 5) == 0
+    assert board.call(("made", "is_there"), print, 5) == 5
 
 
 @pytest.mark.parametrize("arch", compilers.PROCESSORS)
 def test_machine_code_runs_at_any_address(arch: str) -> None:
     for offset in (16, 0x12340):
-        board = Board(*c_of(_MADE), arch, offset)
+        board = Board(*c_of(_KERNELS), arch, offset)
         assert all(code >= CODE + offset for code in board.functions.values())
         assert board.call(("made", "share"), 7, 2) == 1003
 

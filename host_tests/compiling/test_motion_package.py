@@ -20,10 +20,10 @@ _LAYERS = {path.name for path in paths.FIRMWARE.iterdir() if path.is_dir()}
 
 @pytest.mark.parametrize("arch", ["armv6m", "armv7emsp"])
 def test_it_is_smaller_than_40_kb_on_a_pico(arch: str) -> None:
-    made = motion_package.compile_for(arch)
-    assert 30_000 < made.bytes < _MOST_BYTES
+    package = motion_package.compile_for(arch)
+    assert 30_000 < package.bytes < _MOST_BYTES
     # the number of the processor in each .mpy file
-    assert build.signature(made) >> 10 == {"armv6m": 4, "armv7emsp": 7}[arch]
+    assert build.signature(package) >> 10 == {"armv6m": 4, "armv7emsp": 7}[arch]
 
 
 def test_the_page_has_its_sizes() -> None:
@@ -40,9 +40,9 @@ def test_everything_is_in_one_package_and_everything_imported_is_there(
     arch: str, other: str
 ) -> None:
     """other: the function of hardware.py that imports the engine of other chips."""
-    made = motion_package.compile_for(arch)
-    assert {path.split("/")[0] for path in made.files} == {LIBRARY}
-    modules = {Path(path).stem for path in made.files}
+    package = motion_package.compile_for(arch)
+    assert {path.split("/")[0] for path in package.files} == {LIBRARY}
+    modules = {Path(path).stem for path in package.files}
     imported = set()
     for text in motion_package._in_one_package(arch).texts.values():
         for name in build.imported(text, frozenset({other})):
@@ -96,11 +96,11 @@ def test_boards_pay_nothing_for_it() -> None:
 def test_its_modules_are_those_of_the_firmware() -> None:
     """The package adds a wiring of its own (firmware/ugrbl_motion); all other modules are the
     firmware's."""
-    own = {name.partition(".")[2] or "__init__" for name in motion_package.texts()}
-    firmware = {Path(source).stem for source in build.sources()}
+    own_modules = {name.partition(".")[2] or "__init__" for name in motion_package.texts()}
+    firmware_modules = {Path(source).stem for source in build.sources()}
     texts = motion_package._in_one_package("xtensawin").texts
     stems = {name.partition(".")[2] or "__init__" for name in texts}
-    assert stems - own <= firmware and not own & firmware
+    assert stems - own_modules <= firmware_modules and not own_modules & firmware_modules
 
 
 # Stubs
@@ -114,7 +114,7 @@ WRONG = {
 }
 
 
-def mypy(folder: Path, *files: Path) -> str:
+def run_mypy(folder: Path, *files: Path) -> str:
     """Check files with mypy against the stubs in a folder only; return its output."""
     options = ["--strict", "--no-incremental", "--cache-dir", str(folder / "cache")]
     process = subprocess.run(
@@ -128,20 +128,20 @@ def mypy(folder: Path, *files: Path) -> str:
     return process.stdout + process.stderr
 
 
-def put(folder: Path) -> None:
+def write_stubs(folder: Path) -> None:
     """Write the stubs of ugrbl_motion and of custom modules to a folder."""
     for path, text in {**stubs.motion(), **stubs.custom()}.items():
         paths.write(folder / path, text.encode())
 
 
 def test_stubs_fit_the_examples_and_find_mistakes(tmp_path: Path) -> None:
-    put(tmp_path)
+    write_stubs(tmp_path)
     head = "from ugrbl_motion import Axis, Group\nx = Axis(2, 5, 80, 100, 500)\n"
     wrong = tmp_path / "wrong.py"
     wrong.write_text(head + "group = Group(x=x)\n" + "\n".join(WRONG) + "\n")
     examples = sorted((paths.EXAMPLES / "motion").glob("*.py"))
-    assert "Success" in mypy(tmp_path, *examples)
-    errors = mypy(tmp_path, wrong).splitlines()
+    assert "Success" in run_mypy(tmp_path, *examples)
+    errors = run_mypy(tmp_path, wrong).splitlines()
     for number, text in enumerate(WRONG.values(), 4):  # the mistakes of WRONG begin in line 4
         assert [row for row in errors if f":{number}: error" in row and text in row], (
             number,
@@ -176,13 +176,13 @@ def door(m: Machine, closed: bool) -> None:
 def test_stubs_of_custom_fit_programs_and_find_mistakes(tmp_path: Path) -> None:
     """wrong.py calls a method that does not exist, passes text for a time, and uses an unknown
     event."""
-    put(tmp_path)
+    write_stubs(tmp_path)
     right, wrong = tmp_path / "right.py", tmp_path / "wrong.py"
     right.write_text(CUSTOM)
     wrong.write_text(CUSTOM + "    m.houd()\n    m.wait('long')\non.lunch\n")
-    assert "Success" in mypy(tmp_path, right)
-    said = mypy(tmp_path, wrong)
-    assert '"houd"' in said and "arg-type" in said and '"lunch"' in said
+    assert "Success" in run_mypy(tmp_path, right)
+    output = run_mypy(tmp_path, wrong)
+    assert '"houd"' in output and "arg-type" in output and '"lunch"' in output
 
 
 def test_stubs_have_all_that_the_pages_document() -> None:

@@ -1,4 +1,8 @@
-"""Test the emergency stop: it stops everything, and prevents unlocking while it is pressed."""
+"""Test the emergency stop: it stops everything, and prevents unlocking while it is pressed.
+
+machine.send_and_wait(line, until) discards earlier output, sends a line and waits for a text in
+the output, which received_text() returns. push() sets inputs.
+"""
 
 from collections.abc import Callable, Iterator
 from types import ModuleType
@@ -71,7 +75,7 @@ def test_motion_and_tool_stop_at_once_and_nothing_unlocks() -> None:
         again."""
         yield from machine.send_and_wait("M3 S1000 M8\n", "ok\r\n")
         yield from machine.send_and_wait("G1 X100 F500\n", "ok\r\n")
-        yield machine.ms(300)
+        yield machine.ms(300)  # in motion
         assert machine.moving() and not machine.tools_are_off()
         machine.link.received.clear()
         machine.port.push(PRESSED)
@@ -89,17 +93,17 @@ def test_motion_and_tool_stop_at_once_and_nothing_unlocks() -> None:
         assert machine.received_text() == LOCKED
         yield from machine.send_and_wait("G1 X1\n")
         assert machine.received_text() == "error:9\r\n"
-        yield machine.ms(500)
+        yield machine.ms(500)  # refused lines would have moved it
         assert machine.tools_are_off()
         assert machine.motor_steps() == stopped_at_steps  # the refused lines moved nothing
         # From here: released, the machine unlocks as after any alarm.
         machine.port.push(RELEASED)
-        yield machine.ms(100)
+        yield machine.ms(100)  # the release is read
         yield from machine.send_and_wait("?")
         assert machine.received_text().startswith("<Alarm")
         yield from machine.send_and_wait("$X\n", "ok\r\n")
         yield from machine.send_and_wait("M3 S1000 G1 X1 F500\n", "ok\r\n")
-        yield machine.ms(50)
+        yield machine.ms(50)  # in motion
         assert machine.moving() and not machine.tools_are_off()
 
     machine.play(script)
@@ -115,11 +119,11 @@ def test_machine_unlocks_normally_after_estop_in_an_alarm_is_released() -> None:
         """Press and release while the machine is locked; then unlock and move."""
         yield lambda: b"unlock]\r\n" in machine.link.received
         machine.port.push(PRESSED)
-        yield machine.ms(50)
+        yield machine.ms(50)  # the press is read
         machine.port.push(RELEASED)
         yield from machine.send_and_wait("$X\n", "ok\r\n")
         yield from machine.send_and_wait("M3 S1000 G1 X1 F500\n", "ok\r\n")
-        yield machine.ms(50)
+        yield machine.ms(50)  # in motion
         assert machine.moving() and not machine.tools_are_off()
 
     machine.play(script)
@@ -160,13 +164,13 @@ def hold(machine: Machine) -> Iterator[Any]:
 def jog(machine: Machine) -> Iterator[Any]:
     """Start a jog."""
     yield from machine.send_and_wait("$J=G91 X100 F500\n", "ok\r\n")
-    yield machine.ms(100)
+    yield machine.ms(100)  # in motion
 
 
 def home(machine: Machine) -> Iterator[Any]:
     """Start homing."""
     machine.link.send(b"$H\n")
-    yield machine.ms(300)
+    yield machine.ms(300)  # in the first approach
 
 
 def check(machine: Machine) -> Iterator[Any]:
@@ -177,13 +181,13 @@ def check(machine: Machine) -> Iterator[Any]:
 def sleep(machine: Machine) -> Iterator[Any]:
     """Put the machine to sleep."""
     machine.link.send(b"$SLP\n")
-    yield machine.ms(500)
+    yield machine.ms(500)  # asleep
 
 
 def dwell(machine: Machine) -> Iterator[Any]:
     """Start a dwell of 5 s."""
     machine.link.send(b"G4 P5\n")
-    yield machine.ms(200)
+    yield machine.ms(200)  # in the dwell
 
 
 @pytest.mark.parametrize("has_interrupt", [True, False], ids=["interrupt", "level"])
@@ -228,7 +232,7 @@ def test_tool_that_a_failed_probing_leaves_on_is_switched_off(touches: bool) -> 
         assert machine.tools_are_off()
         yield machine.ms(800)
         machine.port.push(PRESSED)  # a contact that bounces is not reported again
-        yield machine.ms(800)
+        yield machine.ms(800)  # a second alarm would be reported
         assert machine.tools_are_off() and machine.received_text().count("ALARM:17") == 1
         yield from machine.send_and_wait("$X\n", "error:9\r\n")
 
@@ -246,7 +250,7 @@ def test_alarm_after_the_check_for_one_is_reported(pushed: "dict[str, bool]", sa
     def script() -> Iterator[Any]:
         """Start a move; push the input in the middle of a pass of the main loop."""
         yield from machine.send_and_wait("G1 X100 F500\n", "ok\r\n")
-        yield machine.ms(300)
+        yield machine.ms(300)  # in motion
         machine.link.received.clear()
 
         def push_during_check() -> str:
@@ -257,7 +261,7 @@ def test_alarm_after_the_check_for_one_is_reported(pushed: "dict[str, bool]", sa
             return fault()
 
         machine.engine.fault = push_during_check  # type: ignore[method-assign]
-        yield machine.ms(300)
+        yield machine.ms(300)  # the alarm is reported
         assert machine.received_text().startswith(said)
 
     machine.play(script)
@@ -270,7 +274,7 @@ def test_failing_callback_is_an_alarm_with_its_cause() -> None:
     def script() -> Iterator[Any]:
         """Do during a move what a port does whose callback has failed."""
         yield from machine.send_and_wait("M3 S1000 G1 X100 F500\n", "ok\r\n")
-        yield machine.ms(300)
+        yield machine.ms(300)  # in motion
         machine.link.received.clear()
         machine.port.fault = "A pin's callback has failed"
         machine.port.kill()

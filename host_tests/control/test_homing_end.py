@@ -51,7 +51,7 @@ def test_door_at_the_end_of_homing_can_be_closed(before_end_us: int) -> None:
         rig.link.send(b"$H\n")
         yield started + duration() - int(before_end_us * rig.ticks_per_ms / 1000)
         rig.link.send(b"\x84")
-        yield rig.ms(500)
+        yield rig.ms(500)  # the door is handled, if it was in time
         rig.link.send(b"~")
         yield rig.ms(5000)  # also restores the spindle
         lines = machine.take()

@@ -22,7 +22,7 @@ POLARITIES = [(), ("SPINDLE_PWM",), ("SPINDLE_ON", "MIST_PIN"), tuple(OUTPUTS)]
 
 # What the machine does with its tools, on a port.
 WORK: "dict[str, Callable[[Any], object]]" = {
-    "spindle": lambda port: port.spindle(True, 700),
+    "spindle": lambda port: port.spindle(on=True, power=700),
     "coolant": lambda port: port.coolant(3),
     "direction": lambda port: port.direction(1),
     "punch": lambda port: port.drive(1),
@@ -162,7 +162,7 @@ def test_interrupted_work_never_switches_a_tool_on_in_the_simulator(what: str) -
 def test_revive_without_kill_changes_nothing(chip: str) -> None:
     """Homing calls revive, and a running spindle must continue."""
     bench = Bench(chip, ())
-    bench.port.spindle(True, 700)
+    bench.port.spindle(on=True, power=700)
     let_pass(200)
     before = bench.outputs()
     bench.port.revive()
@@ -342,11 +342,11 @@ def test_failing_callback_kills_the_tool_and_is_reported(chip: str, pin: int) ->
     """Pins: 9 limit, 13 control, 12 probe, 26 watched by an extra, 28 emergency stop."""
     port, pins, reported_faults = failing_port(chip)
     if pin == 12:
-        port.watch_probe(lambda: 1 // 0, True)
-    port.spindle(True, 700)
+        port.watch_probe(lambda: 1 // 0, closed=True)
+    port.spindle(on=True, power=700)
     pins(pin).drive(0)  # the input falls, and its callback fails
     assert reported_faults == ["A pin's callback has failed"]
-    port.spindle(True, 700)
+    port.spindle(on=True, power=700)
     # the spindle stays off
     assert (machine.Pin(16).pad() if chip == "rp2" else port.pwm.duty) == 0
 

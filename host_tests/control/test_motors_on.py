@@ -1,4 +1,7 @@
-"""Test that motors stay powered at every stop with $1=255, so that a heavy Z does not fall."""
+"""Test that motors stay powered at every stop with $1=255, so that a heavy Z does not fall.
+
+bench.say(text, ms) sends a text, lets time pass (1.5 s by default) and returns the lines received.
+"""
 
 from collections.abc import Callable, Iterator
 from types import ModuleType

@@ -89,7 +89,7 @@ class Bench(Machine):
         yield self.rig.ms(40)  # the delay before the hold is complete ($1)
         if self.stop.pin:
             self.rig.port.push({self.stop.pin: False})
-            yield self.rig.ms(30)
+            yield self.rig.ms(30)  # the main loop sees the door closed
         yield from self.say(_RESUME, "ms 30")
         yield self.idle
 
@@ -136,7 +136,7 @@ class Bench(Machine):
 
     def unlock_if_alarm(self) -> Script:
         """Leave the alarm of a probe without contact."""
-        yield self.rig.ms(30)
+        yield self.rig.ms(30)  # the alarm is reported
         if (yield from self.state()) == "Alarm":
             yield self.rig.ms(600)  # until the reset after the alarm is over
             yield from self.say("$X\n")
@@ -224,20 +224,20 @@ def test_contact_that_ends_before_motion_resumes_is_ignored(stop: Stop) -> None:
         yield from bench.start_at_top()
         yield from bench.probe(2, {100: lambda _: bench.hold()})
         held_at_steps = bench.z_steps()
-        yield bench.rig.ms(100)
+        yield bench.rig.ms(100)  # until it has stopped
         for touches in (True, False):
             bench.set_probe(touches)
-            yield bench.rig.ms(50)
+            yield bench.rig.ms(50)  # several checks of the probe
         yield from bench.say(_RESUME, "ms 1")
         if bench.stop.pin:
             bench.rig.port.push({bench.stop.pin: False})
-            yield bench.rig.ms(30)
+            yield bench.rig.ms(30)  # the main loop sees the door closed
             bench.rig.link.send(_RESUME.encode())
         yield lambda: bench.z_steps() < held_at_steps - 20  # resumed: it moves down again
         z_at_contact = bench.z_steps()
         bench.set_probe(True)
         yield bench.idle
-        yield bench.rig.ms(100)
+        yield bench.rig.ms(100)  # all output has arrived
         bench.take()
         assert probe_result(bench.received) == (bench.top_steps + z_at_contact, 1)
         assert _END_STEPS < bench.z_steps() < z_at_contact
@@ -254,7 +254,7 @@ def test_jog_cancel_does_not_end_a_probe() -> None:
         yield from bench.start_at_top()
         yield from bench.probe(3, {50: lambda _: bench.rig.link.send(b"\x85")})
         yield bench.idle
-        yield bench.rig.ms(100)
+        yield bench.rig.ms(100)  # all output has arrived
         bench.take()
         assert bench.z_steps() == _END_STEPS and probe_result(bench.received)[1] == 0
 
@@ -270,7 +270,7 @@ def test_machine_does_not_park_while_it_probes() -> None:
         yield from bench.start_at_top()
         yield from bench.probe(3, {100: lambda _: bench.hold()})
         held_at_steps = bench.z_steps()
-        yield bench.rig.ms(1000)
+        yield bench.rig.ms(1000)  # parking would have begun
         assert bench.z_steps() == held_at_steps and (yield from bench.state()) == "Door"
         yield from bench.resume()
         assert bench.z_steps() == _END_STEPS
@@ -287,7 +287,7 @@ def test_motion_is_free_after_a_reset_in_the_hold_of_a_probe(touches: bool) -> N
         """Hold a probing move, reset, unlock, and move 1 mm down."""
         yield from bench.start_at_top()
         yield from bench.probe(2, {100: lambda _: bench.hold()})
-        yield bench.rig.ms(100)
+        yield bench.rig.ms(100)  # until it has stopped
         yield from bench.say("\x18", "banner")
         bench.set_probe(touches)
         yield from bench.say("$X\n")

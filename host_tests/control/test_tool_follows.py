@@ -1,4 +1,8 @@
-"""Test that the tool does what was asked for and reported: overrides, holds, doors, settings."""
+"""Test that the tool does what was asked for and reported: overrides, holds, doors, settings.
+
+Tool.play() does steps: it sends lines (text) and real-time bytes, and waits so many ms (numbers).
+It returns state, speed and power at the PWM pin as shown after each step.
+"""
 
 from collections.abc import Generator, Iterator
 from types import ModuleType
@@ -163,7 +167,7 @@ def test_held_laser_is_dark_after_a_start_that_a_hold_prevents(
         yield gap_us * rig.ticks_per_ms // 1000
         link.send(b"!")
         for _ in range(3):
-            yield rig.ms(400)
+            yield rig.ms(400)  # until the machine has reacted
             states.append((yield from tool.read_status()))
 
     tool.machine.run(script())

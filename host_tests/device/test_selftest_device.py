@@ -1,4 +1,7 @@
-"""Test the self-test's access to a board, with a scripted stand-in for mpremote."""
+"""Test the self-test's access to a board, with a scripted stand-in for mpremote.
+
+until_restart() runs a script that hangs the board on purpose, and returns whether it came back.
+"""
 
 from collections.abc import Callable
 from typing import Any

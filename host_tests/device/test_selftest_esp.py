@@ -170,8 +170,7 @@ def test_highest_rate_is_that_of_the_board_file(
 def test_all_checks_pass_under_micropython(tmp_path: Path) -> None:
     program_file = tmp_path / "sent.py"
     amounts = replace(_AMOUNTS, run_ms=20, stops=4, starts=4)
-    # True: the spindle may be used; 7: random seed
-    program_file.write_text(program.checks(program.ESP32, amounts, True, 7))
+    program_file.write_text(program.checks(program.ESP32, amounts, pwm=True, seed=7))
     # The boot script sends nothing and waits for the welcome, then runs the program.
     (tmp_path / "talk.json").write_text(json.dumps([["", "Grbl"]]))
     output = run_micropython(_BOOT, "esp32_devkit", str(tmp_path), f"RUN = {str(program_file)!r}")
@@ -412,7 +411,7 @@ def test_hang_is_ended_by_the_watchdog_long_after_the_last_step(
 ) -> None:
     """The program blocks the main loop on purpose; figures are ms after that."""
     program_file = tmp_path / "sent.py"
-    program_file.write_text(program.hang(program.ESP32, True))
+    program_file.write_text(program.hang(program.ESP32, pwm=True))
     # The boot script sends nothing and waits for the welcome, then runs the program.
     (tmp_path / "talk.json").write_text(json.dumps([["", "Grbl"]]))
     output = run(_BOOT, "esp32_devkit", str(tmp_path), f"RUN = {str(program_file)!r}")

@@ -24,7 +24,10 @@ from ugrbl.device.selftest import program
 def test_programs_compile_for_the_board(chip: program.AnyChip, arch: str, tmp_path: Path) -> None:
     """A program is one text without imports from its package and without docstrings, because it
     is sent to the board. Arguments: amounts, whether the spindle may be used, random seed."""
-    for text in (program.checks(chip, program.QUICK, True, 7), program.hang(chip, True)):
+    for text in (
+        program.checks(chip, program.QUICK, pwm=True, seed=7),
+        program.hang(chip, pwm=True),
+    ):
         assert "from ." not in text and '"""' not in text
         source = tmp_path / "sent.py"
         source.write_text(text)

@@ -143,7 +143,7 @@ _SHAPES = [(10, 10, 10), (27, 82, 16), (200, 10, 1), (7, 35, 0), (0, 0, 10), (19
 _FAST = ["$110=5000", "$111=5000", "$112=3000", "$120=500", "$121=500", "$122=500"]
 
 
-def away(points: Any, rows: Any) -> float:
+def largest_distance(points: Any, rows: Any) -> float:
     """Return the largest distance of the points from the drawn polyline, whose corners are these
     rows."""
     farthest = 0.0
@@ -173,10 +173,10 @@ def test_longer_segments_of_a_long_job_change_neither_path_nor_time(monkeypatch:
         (of_fine,), (of_coarse,) = (np.nonzero(numbers == line) for numbers, _ in moves)
         if len(of_fine):
             path = moves[1][1][of_coarse[0] - 1 : of_coarse[-1] + 1]
-            assert max(beside(point, path) for point in moves[0][1][of_fine]) < 0.01
+            assert max(distance_to_path(point, path) for point in moves[0][1][of_fine]) < 0.01
 
 
-def beside(point: Any, path: Any) -> float:
+def distance_to_path(point: Any, path: Any) -> float:
     """Return the distance of a point from a polyline."""
     nearest = math.inf
     for begin, end in pairwise(path.astype(float)):
@@ -193,7 +193,7 @@ def test_drawing_is_within_its_stated_tolerance_of_the_path(most: int) -> None:
     drawn = drawing.draw(job, most)
     assert (drawn.tolerance_mm > drawing.TOLERANCE_MM) == (most == 900)
     rows = np.searchsorted(job.motion.time_s, drawn.time_s)
-    assert away(job.motion.points, rows) <= drawn.tolerance_mm * 1.001
+    assert largest_distance(job.motion.points, rows) <= drawn.tolerance_mm * 1.001
     assert len(rows) < len(job.motion) / 2
 
 
@@ -229,7 +229,7 @@ def test_long_job_takes_little_time_and_memory(tmp_path: Path) -> None:
     assert out.stat().st_size < 8_000_000
 
 
-def texts_drawn(figure: Any, monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, Any]]:
+def drawn_texts(figure: Any, monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, Any]]:
     """Return every text of a picture with its box in dots, which is known after drawing."""
     drawn = []
 
@@ -257,7 +257,7 @@ def test_texts_of_a_picture_are_complete_and_do_not_overlap(
     lines = [b"G1F5000X%.3fY%.3fZ%.3f" % corner for corner in corners]
     job = run_job("as it is", lines, [*_FAST, "$130=2000"])
     figure = image.draw([job] * count, "a.nc", "")
-    texts = texts_drawn(figure, monkeypatch)
+    texts = drawn_texts(figure, monkeypatch)
     assert len(texts) > 40 * count
     for text, box in texts:
         assert box.x0 >= 0 and box.y0 >= 0, text
@@ -315,11 +315,11 @@ def test_each_format_has_its_file_signature(program: Path, suffix: str, start: b
 
 def test_figures_are_written_as_json(program: Path) -> None:
     done = ugrbl(program, "-o", program.with_name("out.png"), "--set", "110=1000", "--json", "-")
-    found = json.loads(done.stdout)
-    assert [job["lines"] for job in found["jobs"]] == [8, 8]
+    figures = json.loads(done.stdout)
+    assert [job["lines"] for job in figures["jobs"]] == [8, 8]
     # The first job is without --set: $110 is 500 mm/min; 250 steps/mm.
-    assert found["jobs"][0]["fastest_step_hz"]["X"] == pytest.approx(500 / 60 * 250, rel=0.01)
-    assert "instead of" in found["verdict"]
+    assert figures["jobs"][0]["fastest_step_hz"]["X"] == pytest.approx(500 / 60 * 250, rel=0.01)
+    assert "instead of" in figures["verdict"]
 
 
 def test_pulled_settings_file_describes_the_machine(program: Path) -> None:
@@ -451,7 +451,7 @@ const until = setInterval(async () => {
 </script>"""
 
 
-def browse(page: Path) -> Any:
+def open_in_browser(page: Path) -> Any:
     """Open the page with the script _PROBE in a browser without a window; return what it found, or
     skip if there is no browser."""
     browser = next(filter(None, map(shutil.which, _BROWSERS)), None)
@@ -480,7 +480,7 @@ def test_page_draws_itself_in_a_browser_without_a_network(program: Path) -> None
     done = ugrbl(program, "-o", page, "--set", "120=200")
     assert done.exit_code == 0, done.output
     assert page.stat().st_size < 3_000_000
-    results = browse(page)
+    results = open_in_browser(page)
     assert results["traces"][0][:2] == ["cuts", "rapids"] and len(results["traces"][2]) == 16
     assert "rapids" in results["traces"][1]
     assert results["points"] > 30 and results["canvases"] > 0

@@ -13,7 +13,7 @@ _number = st.floats(-100, 100, width=32)
 _path = st.lists(st.tuples(_number, _number, _number), min_size=1, max_size=60)
 
 
-def away(points: "np.ndarray", rows: "np.ndarray") -> float:
+def largest_distance(points: "np.ndarray", rows: "np.ndarray") -> float:
     """Return the largest distance of the path from its drawing, checked at every point."""
     farthest = 0.0
     for begin, end in pairwise(rows):
@@ -34,7 +34,7 @@ def test_path_is_within_the_tolerance_everywhere(path, tolerance, keep) -> None:
     rows = simplify(points, tolerance, kept)
     assert {0, len(path) - 1, *kept} <= set(rows.tolist())
     assert np.all(np.diff(rows) > 0)
-    assert away(points, rows) <= tolerance * (1 + 1e-9) + 1e-9
+    assert largest_distance(points, rows) <= tolerance * (1 + 1e-9) + 1e-9
 
 
 def test_straight_line_keeps_few_points() -> None:
@@ -53,7 +53,7 @@ def test_circle_has_the_points_that_its_tolerance_needs() -> None:
     rows = simplify(points, 0.01)
     needed = math.pi / math.acos(1 - 0.01 / 10)  # chords that are 0.01 off a circle of radius 10
     assert needed <= len(rows) <= 2.1 * needed
-    assert away(points, rows) <= 0.01
+    assert largest_distance(points, rows) <= 0.01
 
 
 @pytest.mark.parametrize("most", [50, 300])
@@ -63,7 +63,7 @@ def test_tolerance_is_widened_until_it_fits_and_reported(most: int) -> None:
     points = np.column_stack([angle * np.cos(angle), angle * np.sin(angle)])
     rows, tolerance = fitted(points, 0.001, [0, 10_000], most)
     assert len(rows) <= most + 2 and 10_000 in rows
-    assert away(points, rows) <= tolerance * (1 + 1e-9)
+    assert largest_distance(points, rows) <= tolerance * (1 + 1e-9)
     assert tolerance > 0.001
 
 

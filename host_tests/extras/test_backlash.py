@@ -1,4 +1,9 @@
-"""Test backlash: motors compensate it, and no report shows it."""
+"""Test backlash: motors compensate it, and no report shows it.
+
+machine_after() plays lines on a new machine, with settings and with real-time bytes at some ms.
+table_mm() is the position of a model of its table, Machine.physical() the steps of the motors and
+Machine.reported() the last reported position in mm. The settings are $160 to $162.
+"""
 
 import random
 from collections.abc import Iterator, Sequence
@@ -124,25 +129,25 @@ def test_table_reaches_the_target_from_either_side() -> None:
 def test_motors_differ_from_the_target_by_the_slack_of_the_last_direction() -> None:
     """60 random moves: the motors are at the commanded position, less the slack if moved down."""
     rng = random.Random(5)
-    # last: direction of the last move of each axis, 1 up, -1 down; at: position in mm.
-    lines, last, at = [_UP], [1, 1, 1], [1.0, 1.0, 1.0]
+    # directions: of the last move of each axis, 1 up, -1 down.
+    lines, directions, position_mm = [_UP], [1, 1, 1], [1.0, 1.0, 1.0]
     for _ in range(60):
         word = "G1" if rng.random() < 0.8 else "G0"
         for i in range(3):
             if rng.random() < 0.6:
-                to = round(rng.uniform(-2, 2), 2)
-                if to != at[i]:
-                    last[i] = 1 if to > at[i] else -1
-                at[i] = to
-                word += f"{'XYZ'[i]}{to}"
+                target_mm = round(rng.uniform(-2, 2), 2)
+                if target_mm != position_mm[i]:
+                    directions[i] = 1 if target_mm > position_mm[i] else -1
+                position_mm[i] = target_mm
+                word += f"{'XYZ'[i]}{target_mm}"
         lines.append(word + "F3000")
     machine = machine_after(lines)
-    commanded = [round(mm * _PER_MM) for mm in at]
+    commanded = [round(mm * _PER_MM) for mm in position_mm]
     slack_steps = [
-        0 if sign > 0 else -slack for sign, slack in zip(last, _SLACK_STEPS, strict=True)
+        0 if sign > 0 else -slack for sign, slack in zip(directions, _SLACK_STEPS, strict=True)
     ]
     assert machine.physical() == [n + m for n, m in zip(commanded, slack_steps, strict=True)]
-    assert table_mm(machine) == pytest.approx(at, abs=0.003)
+    assert table_mm(machine) == pytest.approx(position_mm, abs=0.003)
     assert machine.reported() == pytest.approx(table_mm(machine), abs=0.0005)
 
 
@@ -176,7 +181,7 @@ def test_arc_stops_for_the_slack_where_an_axis_reverses() -> None:
 def test_slack_is_taken_up_alone_within_rate_and_acceleration() -> None:
     """The first steps down move X through its 2 mm of slack, from standstill to standstill."""
     # Slack 2 mm, rate 900 mm/min (15 mm/s), acceleration 100 mm/s2.
-    machine = machine_after([_UP, "G1X-5F3000"], {160: 2.0, 110: 900, 120: 100})
+    machine = machine_after([_UP, "G1X-5F3000"], settings={160: 2.0, 110: 900, 120: 100})
     steps = []  # of X: tick, direction
     for start, row in machine.rows:
         sign = -1 if row[ROW_DIRS] & 1 else 1
@@ -213,7 +218,7 @@ def test_position_stays_right_after_any_interruption_of_the_slack(byte: str) -> 
             machine.rig.link.send(byte.encode("latin-1"))
             yield machine.rig.ms(300)  # a hold has stopped the motors
             machine.rig.link.send(b"?")
-            yield machine.rig.ms(20)
+            yield machine.rig.ms(20)  # the report arrives
             yield from machine.rest()  # resumes a hold
 
         machine.run(script())
@@ -229,7 +234,7 @@ def test_position_stays_right_after_any_interruption_of_the_slack(byte: str) -> 
 def test_rest_of_the_slack_is_taken_up_after_a_reset_in_the_middle() -> None:
     """A reset within 2 mm of slack; then lines in both directions: table and report agree."""
     for ms in range(20, 900, 79):
-        machine = make_machine({162: 2.0, 122: 50})
+        machine = make_machine(settings={162: 2.0, 122: 50})
         machine.table.slack = (*_SLACK_STEPS[:2], 2 * _PER_MM)  # type: ignore[attr-defined]
 
         def script(machine: Machine = machine, ms: int = ms) -> Iterator[Any]:
@@ -255,7 +260,7 @@ def test_rest_of_the_slack_is_taken_up_after_a_reset_in_the_middle() -> None:
 def test_jog_cancelled_in_the_slack_moves_the_table_no_further() -> None:
     """Jog cancel (0x85) at each time of a jog down, which begins with 2 mm of slack."""
     for ms in range(30, 800, 59):
-        machine = make_machine({162: 2.0, 122: 50})
+        machine = make_machine(settings={162: 2.0, 122: 50})
         machine.table.slack = (*_SLACK_STEPS[:2], 2 * _PER_MM)  # type: ignore[attr-defined]
 
         def script(machine: Machine = machine, ms: int = ms) -> Iterator[Any]:
@@ -283,7 +288,7 @@ def test_slack_after_homing_is_on_the_side_of_the_pull_off(inverted: int) -> Non
 
     inverted: $23, axes that home in negative direction.
     """
-    machine = make_machine({22: 1, 23: inverted})
+    machine = make_machine(settings={22: 1, 23: inverted})
     above = not inverted
     for i, letter in enumerate("xyz"):
         at = 700 if above else -700  # steps
@@ -331,7 +336,7 @@ def test_probe_reports_the_tables_position_and_stays_right_after_a_reversal() ->
 def test_laser_is_dark_in_the_slack_and_a_spindle_stays_on() -> None:
     for laser, stays_on in ((1, False), (0, True)):
         # laser mode, largest S, backlash of X
-        machine = make_machine({32: laser, 30: 1000, 160: 0.4})
+        machine = make_machine(settings={32: laser, 30: 1000, 160: 0.4})
         powers: list[int] = []  # PWM at each row of steps within the slack
         machine_trace: Any = machine.rig.engine.trace
 

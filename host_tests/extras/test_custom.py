@@ -1,4 +1,11 @@
-"""Test custom.py: the user's own Python, which can never make the machine lose its position."""
+"""Test custom.py: the user's own Python, which can never make the machine lose its position.
+
+bench(text) is a machine with this custom.py. cnc.say() powers it up and sends texts, each with
+what to wait for: "ok" (an answer), "idle", "banner" or "ms 100" (100 ms); it returns the replies
+to each text. Then cnc.heard has what handlers have added to their list `heard`, cnc.mm the motors'
+position, cnc.outputs a bit per output, cnc.power the spindle's PWM, cnc.greeting the lines at
+power-up.
+"""
 
 import sys
 from collections.abc import Callable, Iterator
@@ -57,7 +64,7 @@ class Bench:
         def script() -> Iterator[Any]:
             """Wait for the welcome, go through `talk`, and note the final state."""
             yield from self.sender.wait("banner", "")
-            yield self.rig.ms(100)
+            yield self.rig.ms(100)  # handlers of the start have run
             self.greeting = self.sender.take()  # lines received at power-up
             for each in talk:
                 if callable(each):

@@ -1,6 +1,12 @@
 """Test examples/custom/: each is read as on a board, and the machine's actions are checked.
 
 The simulated machine begins at 0, the upper end of its Z; 250 steps are a millimetre.
+
+shop("NAME") is a machine with this example. cnc.say() powers it up, sends lines and returns their
+answers. In a script, cnc.send(line) waits for the answer, and cnc.send(text, "ms 500") for 500 ms;
+cnc.start(line) waits for a hold or another state, as cnc.until(state) does. cnc.close() closes an
+input. Results are cnc.position_mm(), cnc.messages (texts of [MSG:…]), cnc.answers (with alarms)
+and cnc.output_changes: name, level and position in mm of each change.
 """
 
 import itertools
@@ -326,7 +332,7 @@ def test_reset_during_the_measurement_stops_and_leaves_no_length(shop: Make) -> 
         yield cnc.rig.ms(1500)  # it has left the place of the change, X3 Y60
         yield from cnc.send("\x18", "banner")
         seen.append(cnc.position_mm())
-        yield cnc.rig.ms(500)
+        yield cnc.rig.ms(500)  # it would have moved on by now
         seen.append(cnc.position_mm())
         yield from cnc.send("$X")
         seen.extend((yield from cnc.send("$#")))
@@ -516,7 +522,7 @@ def test_stack_light_shows_the_state(shop: Make) -> None:
     def look(text: str, how: str) -> "Iterator[Any]":
         """Send a text and wait as given, then note the lamps."""
         yield from cnc.send(text, how)
-        yield cnc.rig.ms(100)
+        yield cnc.rig.ms(100)  # the lamps are set
         seen.append("".join([n[0] for n in cnc.outputs[:3] if cnc.is_on(n)]))
 
     def script() -> "Iterator[Any]":
@@ -537,7 +543,7 @@ def test_buzzer_beeps_twice_in_alarm_and_again_later(shop: Make) -> None:
     cnc = shop("stack_light", settings={22: 1}, **_LIGHT)
 
     def script() -> "Iterator[Any]":
-        yield cnc.rig.ms(21_000)
+        yield cnc.rig.ms(21_000)  # beeps at 0, 10 and 20 s
         assert not cnc.is_on("well")
         yield from cnc.send("$X")
         yield cnc.rig.ms(11_000)  # longer than the 10 s between beeps
@@ -613,7 +619,7 @@ def test_guarded_probe_stops_at_an_obstacle(shop: Make, line: str) -> None:
             yield from cnc.send("G1 Y50 F1500\n" * 30, "ms 1")
         yield from cnc.until("Alarm")
         seen.append(cnc.position_mm())
-        yield cnc.rig.ms(2000)
+        yield cnc.rig.ms(2000)  # it would have moved on by now
         seen.append(cnc.position_mm())
         yield from cnc.send("$X")
         seen.extend((yield from cnc.reports()))
@@ -680,7 +686,7 @@ def test_feeder_runs_until_a_part_lies_still(shop: Make) -> None:
         yield from cnc.send("M115\nG1 X20\n", "ms 2000")  # X10 is reached, no part has come
         seen.append(cnc.is_on("feeder"))
         cnc.close("part")
-        yield cnc.rig.ms(100)
+        yield cnc.rig.ms(100)  # the handler sees the part
         seen.append(cnc.is_on("feeder"))
         yield from cnc.until("Run")
         yield from cnc.until("Idle")
@@ -811,7 +817,7 @@ def test_pen_is_down_before_the_machine_moves(shop: Make) -> None:
         seen.append((us(), (cnc.rig.now - since) / cnc.rig.ticks_per_ms >= 150))
         yield from cnc.send("G1 X50 F1000\n", "ms 200")
         yield from cnc.send("\x18", "banner")
-        yield cnc.rig.ms(20)
+        yield cnc.rig.ms(20)  # the handler has run
         seen.append(us())
 
     cnc.run(script())
@@ -852,7 +858,7 @@ def test_wheel_jogs_by_its_edges(shop: Make, edges: int, coarse: bool, mm: float
         cnc.close("y")
         cnc.close("coarse", coarse)
         yield from turn_wheel(cnc, edges)
-        yield cnc.rig.ms(200)
+        yield cnc.rig.ms(200)  # the edges are handled
         yield from cnc.until("Idle")
 
     cnc.run(script())
@@ -887,7 +893,7 @@ def test_pendant_does_not_disturb_a_program(shop: Make) -> None:
         """Use the button "minus" and the wheel of the pendant during a move."""
         yield from cnc.send("G1 X20 F1000\n", "ms 100")
         cnc.close("minus")
-        yield cnc.rig.ms(300)
+        yield cnc.rig.ms(300)  # a jog would have begun
         yield from turn_wheel(cnc, 10)
         cnc.close("minus", closed=False)
         yield from cnc.until("Idle")
@@ -946,7 +952,7 @@ def test_clicks_of_the_serial_pendant_jog_and_wrong_frames_do_not(pendant: Shop)
         yield from repeated(pendant, bytes(wrong), 3)
         # The first of these two begins in its middle.
         yield from repeated(pendant, frame(axis=2, clicks=-2)[3:] + frame(axis=0, clicks=5), 1)
-        yield pendant.rig.ms(150)
+        yield pendant.rig.ms(150)  # frames so far are handled
         yield from repeated(pendant, frame(axis=0, clicks=9, buttons=0), 3)  # not enabled
         yield from repeated(pendant, frame(axis=7, clicks=9), 1)  # there is no such axis
         yield from pendant.until("Idle")
@@ -971,7 +977,7 @@ def test_jog_of_the_serial_pendant_ends(pendant: Shop, end: str) -> None:
         buttons = {"enabling button released": 2, "button released": 1}
         if end in buttons:
             yield from repeated(pendant, frame(0, percent=50, buttons=buttons[end]), 40)
-        yield pendant.rig.ms(800)
+        yield pendant.rig.ms(800)  # longer than the jog needs to end
         seen.append(pendant.position_mm()[0])
         yield from pendant.until("Idle")
 
@@ -1129,7 +1135,7 @@ def test_stuck_drawbar_stops_the_change(shop: Make) -> None:
         rack.stuck = True
         yield from cnc.send("T5 M6\n", "ms 1")
         yield from cnc.until("Alarm")
-        yield cnc.rig.ms(1500)
+        yield cnc.rig.ms(1500)  # nothing more may happen in this time
 
     cnc.run(script())
     assert cnc.messages[0] == "The drawbar does not open" and "ALARM:34" in cnc.answers
@@ -1284,7 +1290,7 @@ def test_silent_inverter_stops_the_machine(inverter: Shop) -> None:
         yield from inverter.send("G1 X100 F1000\n", "ms 500")
         Inverter.dumb = True
         yield from inverter.until("Alarm")
-        yield inverter.rig.ms(1500)
+        yield inverter.rig.ms(1500)  # until the stop command is sent
 
     inverter.run(script())
     assert "The inverter does not answer" in inverter.messages
@@ -1312,7 +1318,7 @@ def test_reset_stops_the_inverter(inverter: Shop) -> None:
     def script() -> "Iterator[Any]":
         yield from inverter.send("M3 S12000")
         yield from inverter.send("\x18", "banner")
-        yield inverter.rig.ms(200)
+        yield inverter.rig.ms(200)  # until the stop command is sent
 
     inverter.run(script())
     assert Inverter.last.word == 1
@@ -1452,7 +1458,7 @@ def test_input_is_waited_for_by_its_number(shop: Make) -> None:
         # L1 waits for the moment of closing. It is closed already, so it must open first.
         yield from cnc.send("M66 P0 L1 Q1\n", "ms 100")
         cnc.close("part", closed=False)
-        yield cnc.rig.ms(100)
+        yield cnc.rig.ms(100)  # M66 sees it open
         assert cnc.answers == ["ok"]
         cnc.close("part")
         yield from cnc.wait_for_answers(2)

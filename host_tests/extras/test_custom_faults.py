@@ -1,4 +1,10 @@
-"""Test that failures and unusual code in custom.py do no harm and come to an end."""
+"""Test that failures and unusual code in custom.py do no harm and come to an end.
+
+bench(text) is a machine with this custom.py. cnc.say() powers it up and sends texts, each with
+what to wait for: "ok" (an answer), "idle", "banner" or "ms 100" (100 ms); it returns the replies
+to each text. lines() are texts that wait for "ok". Then cnc.heard has what handlers have added to
+their list `heard`, cnc.mm the motors' position, cnc.greeting the lines at power-up.
+"""
 
 import sys
 from collections.abc import Callable, Iterator

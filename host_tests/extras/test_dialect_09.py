@@ -1,6 +1,9 @@
 """Test the dialect of Grbl 0.9: other texts of the same machine, through one interface.
 
 The recordings of ../shared/conformance-0.9 are replayed by test_conformance.py.
+
+converse() sends texts, each with what to wait for ("ms 60": 60 ms), and returns the replies to
+each.
 """
 
 import re

@@ -2,6 +2,10 @@
 
 gSender and ioSender cannot run here. Their requests, and how they read each answer, are known from
 their sources: gSender's GrblHalController.js and its parsers, ioSender's Grbl.cs.
+
+converse() runs a session at a new machine: talk.ask(text, how) sends a text, waits ("ok" if
+nothing else is said) and returns the lines received; talk.after(ms, text) sends a text and waits
+so long.
 """
 
 import re
@@ -24,7 +28,7 @@ from ugrbl.sim.replay import factory_store
 from ugrbl.sim.rig import Rig
 from ugrbl.sim.sender import Sender
 
-Steps = Generator[Any, None, None]
+Script = Generator[Any, None, None]
 
 _WELCOME = "GrblHAL 1.1f ['$' or '$HELP' for help]"
 _FAST = "".join(f"$11{axis}=6000\n$12{axis}=500\n" for axis in range(3))  # rate, acceleration
@@ -38,7 +42,7 @@ def board(**options: Any) -> ModuleType:
 
 
 class Talk:
-    """A sender at a machine; its methods are steps of a conversation."""
+    """A sender at a machine; its methods are parts of a session."""
 
     def __init__(self, machine: ModuleType) -> None:
         self.rig = Rig(machine, factory_store(machine))
@@ -55,13 +59,13 @@ class Talk:
 
 @pytest.fixture
 def converse(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Return a function run(steps, **options of the board).
+    """Return a function run(session, **options of the board).
 
-    It switches a machine on, waits for its welcome, and runs steps(talk) with a Talk.
+    It switches a machine on, waits for its welcome, and runs session(talk) with a Talk.
     """
 
-    def run(steps: Any, **options: Any) -> Talk:
-        """Run steps(talk) at a new machine; options: of the board file.
+    def run(session: Any, **options: Any) -> Talk:
+        """Run session(talk) at a new machine; options: of the board file.
 
         hal.txt, the texts of the answers, is made for this board and read from memory.
         """
@@ -70,10 +74,10 @@ def converse(monkeypatch: pytest.MonkeyPatch) -> Any:
         monkeypatch.setattr(dialect_hal, "texts", lambda: BytesIO(texts))
         talk = Talk(machine)
 
-        def script() -> Steps:
+        def script() -> Script:
             talk.sender.allow(_PATIENCE_MS)
             assert (yield from talk.ask("", "banner")) == [_WELCOME]
-            yield from steps(talk)
+            yield from session(talk)
 
         talk.rig.run(script())
         return talk
@@ -101,7 +105,7 @@ def test_gsender_connects(converse: Any) -> None:
                 return word
         return ""
 
-    def steps(talk: Talk) -> Steps:
+    def session(talk: Talk) -> Script:
         """Connect as gSender does."""
         assert firmware(_WELCOME) == "grblhal"
         # Without a welcome the first answer decides.
@@ -144,13 +148,13 @@ def test_gsender_connects(converse: Any) -> None:
         lines = yield from talk.ask("$spindlesh\n")
         assert lines == ["[SPINDLE:0|0|0|*DV|PWM|0,1000]", "ok"]
 
-    converse(steps)
+    converse(session)
 
 
 def test_iosender_connects(converse: Any) -> None:
     """The requests that ioSender sends when it connects, each answer read as it reads them."""
 
-    def steps(talk: Talk) -> Steps:
+    def session(talk: Talk) -> Script:
         """Connect as ioSender does."""
         (report,) = yield from talk.ask("\x87", "report")
         assert "FW:grblHAL" in report.rstrip(">").split("|")
@@ -179,13 +183,13 @@ def test_iosender_connects(converse: Any) -> None:
         for question in "\x87?\x80":  # full report, report, and grblHAL's byte for ?
             assert len((yield from talk.ask(question, "report"))) == 1
 
-    converse(steps)
+    converse(session)
 
 
 def test_options_of_the_board_are_reported(converse: Any, tmp_path: Path) -> None:
     """A board with a rotary axis A and a folder with jobs; homing and laser are switched on."""
 
-    def steps(talk: Talk) -> Steps:
+    def session(talk: Talk) -> Script:
         """Read what the answers say about homing, jobs, A, tool length, tool, and laser."""
         yield from talk.ask("$22=1\n")
         lines = yield from talk.ask("$I\n")
@@ -205,17 +209,17 @@ def test_options_of_the_board_are_reported(converse: Any, tmp_path: Path) -> Non
         )
 
     (tmp_path / "jobs").mkdir()
-    converse(steps, STEP=(0, 1, 2, 3), ROTARY="A", JOBS=str(tmp_path / "jobs"))
+    converse(session, STEP=(0, 1, 2, 3), ROTARY="A", JOBS=str(tmp_path / "jobs"))
 
 
 def test_a_words_move_the_a_axis(converse: Any) -> None:
-    def steps(talk: Talk) -> Steps:
+    def session(talk: Talk) -> Script:
         yield from talk.ask(_FAST + "$113=6000\n$123=500\n")
         yield from talk.ask("G1A45F5000\n", "idle")
         (report,) = yield from talk.ask("?", "report")
         assert "MPos:0.000,0.000,0.000,45.000" in report
 
-    converse(steps, STEP=(0, 1, 2, 3))
+    converse(session, STEP=(0, 1, 2, 3))
 
 
 def test_text_rows_fit_into_lines() -> None:
@@ -232,28 +236,28 @@ def test_text_rows_fit_into_lines() -> None:
 def test_missing_text_file_is_reported_with_the_remedy(converse: Any, monkeypatch: Any) -> None:
     """hal.txt, which has the descriptions of $ES, cannot be opened."""
 
-    def steps(talk: Talk) -> Steps:
+    def session(talk: Talk) -> Script:
         monkeypatch.setattr(dialect_hal, "texts", lambda: open("/nowhere/hal.txt", "rb"))
         lines = yield from talk.ask("$ES\n")
         assert lines == ["[MSG:hal.txt is not on the board: ugrbl deploy puts it there]", "ok"]
 
-    converse(steps)
+    converse(session)
 
 
 def test_unknown_commands_are_refused(converse: Any) -> None:
     """$EX does not exist; $HELP does, and replies as $."""
 
-    def steps(talk: Talk) -> Steps:
+    def session(talk: Talk) -> Script:
         assert (yield from talk.ask("$EX\n")) == ["error:3"]
         assert (yield from talk.ask("$HELP\n")) == (yield from talk.ask("$\n"))
 
-    converse(steps)
+    converse(session)
 
 
 def test_reading_commands_are_answered_in_motion(converse: Any) -> None:
     """A move of 2 s runs; senders ask for descriptions at any time."""
 
-    def steps(talk: Talk) -> Steps:
+    def session(talk: Talk) -> Script:
         """Send the commands during a move of 2 s."""
         yield from talk.ask(_FAST)
         yield from talk.ask("G1X20F600\n", "ok")
@@ -261,14 +265,14 @@ def test_reading_commands_are_answered_in_motion(converse: Any) -> None:
             assert (yield from talk.ask(command + "\n"))[-1] == "ok", command
         assert (yield from talk.ask("?", "report"))[0].startswith("<Run")
 
-    converse(steps)
+    converse(session)
 
 
 def test_unanswered_bytes_of_gsender_are_not_lost(converse: Any) -> None:
     """It sends 724 bytes whatever [OPT:] says, because grblHAL's buffer has 1024."""
     lines = [f"G1 X{k % 2}.{k % 10}00 Y0.{k % 10}00 F1200\n" for k in range(31)]
 
-    def steps(talk: Talk) -> Steps:
+    def session(talk: Talk) -> Script:
         """Send up to 724 bytes at once, during a move; every line must be answered."""
         yield from talk.ask("G1 X5 F600\n")
         sent = "".join(lines)[:724].rpartition("\n")[0] + "\n"
@@ -277,7 +281,7 @@ def test_unanswered_bytes_of_gsender_are_not_lost(converse: Any) -> None:
         yield from talk.sender.until(lambda: talk.sender.answers >= count)
         assert [line for line in talk.sender.take() if line] == ["ok"] * count
 
-    converse(steps)
+    converse(session)
 
 
 # Real-time bytes
@@ -286,7 +290,7 @@ def test_unanswered_bytes_of_gsender_are_not_lost(converse: Any) -> None:
 def test_bytes_of_grblhal_act_like_those_of_grbl(converse: Any) -> None:
     """In grblHAL, 0x82 is !, 0x80 is ?, 0x81 is ~, and 0x87 a full report."""
 
-    def steps(talk: Talk) -> Steps:
+    def session(talk: Talk) -> Script:
         """Hold (0x82), report (0x80), resume (0x81) and full report (0x87)."""
         yield from talk.ask(_FAST)
         yield from talk.ask("G1X20F1200\n", "ok")
@@ -295,24 +299,24 @@ def test_bytes_of_grblhal_act_like_those_of_grbl(converse: Any) -> None:
         yield from talk.after(60, "\x81")
         assert (yield from talk.ask("\x87", "report"))[0].startswith("<Run")
 
-    converse(steps)
+    converse(session)
 
 
 def test_other_bytes_of_grblhal_are_ignored(converse: Any) -> None:
     """Each of them is sent within a line, which is executed as if they were not there."""
 
-    def steps(talk: Talk) -> Steps:
+    def session(talk: Talk) -> Script:
         for x, byte in enumerate("\x83\x86\x88\x89\x8a\x8b\x8c\xa2\xa3\xa4\xb0\xc2\x05\x14\x1b"):
             assert (yield from talk.ask(f"G0{byte}X{x}{byte}\n", "idle")) == ["ok"]
             assert f"MPos:{x}.000" in (yield from talk.ask("?", "report"))[0]
 
-    converse(steps)
+    converse(session)
 
 
 def test_byte_sent_as_utf_8_acts(converse: Any) -> None:
     """Some senders encode the byte 0x85, jog cancel, as UTF-8: 0xC2 0x85. It ends the jog."""
 
-    def steps(talk: Talk) -> Steps:
+    def session(talk: Talk) -> Script:
         """Cancel a jog by 0xC2 0x85: the byte 0x85, encoded as UTF-8."""
         yield from talk.ask(_FAST)
         yield from talk.ask("$J=X50F1200\n", "ok")
@@ -321,14 +325,14 @@ def test_byte_sent_as_utf_8_acts(converse: Any) -> None:
         assert report.startswith("<Idle") and "MPos:0.000" not in report
         assert "MPos:50.000" not in report
 
-    converse(steps)
+    converse(session)
 
 
 @pytest.mark.parametrize("lines", ["G1X50F1200\nG1X60\n", "$1=255\nG1X50F1200\n", "$J=X50F1200\n"])
 def test_stop_ends_motion_and_keeps_the_position(lines: str, converse: Any) -> None:
     """grblHAL's stop, 0x19, decelerates, then resets: no alarm, spindle off, idle."""
 
-    def steps(talk: Talk) -> Steps:
+    def session(talk: Talk) -> Script:
         """Stop (0x19) after 0.5 s; the position is the same 0.5 s later."""
         yield from talk.ask(_FAST + "M3S500\n")
         yield from talk.ask(lines, "ok")
@@ -340,13 +344,13 @@ def test_stop_ends_motion_and_keeps_the_position(lines: str, converse: Any) -> N
         (later_report,) = yield from talk.after(500, "?")
         assert f"MPos:{x_mm:.3f}" in later_report
 
-    converse(steps)
+    converse(session)
 
 
 def test_stop_while_idle_ends_a_hold_and_check_mode(converse: Any) -> None:
     """The stop is 0x19; nothing moves here, so no deceleration precedes its reset."""
 
-    def steps(talk: Talk) -> Steps:
+    def session(talk: Talk) -> Script:
         """Stop (0x19) in a hold, then in check mode."""
         yield from talk.after(60, "!")
         yield from talk.after(60, "\x19")
@@ -355,14 +359,14 @@ def test_stop_while_idle_ends_a_hold_and_check_mode(converse: Any) -> None:
         yield from talk.after(60, "\x19")
         assert (yield from talk.ask("?", "report"))[-1].startswith("<Idle")
 
-    converse(steps)
+    converse(session)
 
 
 def test_stop_ends_homing_at_once(converse: Any) -> None:
     """The stop (0x19) cannot decelerate like a hold, which homing ignores: the motors stop at
     once, and the position is lost as by a reset (alarm 6)."""
 
-    def steps(talk: Talk) -> Steps:
+    def session(talk: Talk) -> Script:
         """Stop (0x19) 0.1 s after $H: the motors stop at once, then the machine resets."""
         yield from talk.ask(_FAST)
         yield from talk.after(300, "$22=1\n")
@@ -373,13 +377,13 @@ def test_stop_ends_homing_at_once(converse: Any) -> None:
         assert _WELCOME in (yield from talk.after(1000))
         assert (yield from talk.ask("?", "report"))[0].startswith("<Alarm")
 
-    converse(steps)
+    converse(session)
 
 
 def test_stop_ends_parking_at_once(converse: Any) -> None:
     """The stop (0x19) comes while the spindle is retracted after the door (0x84) has opened."""
 
-    def steps(talk: Talk) -> Steps:
+    def session(talk: Talk) -> Script:
         """Open the door (0x84) with parking; stop (0x19) while the spindle is retracted."""
         yield from talk.ask(_FAST)
         yield from talk.after(300, "$22=1\n$132=200\n")
@@ -391,13 +395,13 @@ def test_stop_ends_parking_at_once(converse: Any) -> None:
         assert (yield from talk.after(50, "\x19"))[0] == "ALARM:3"
         assert talk.rig.engine.idle()
 
-    converse(steps, PARKING=True)
+    converse(session, PARKING=True)
 
 
 def test_stop_ends_jogs_that_are_still_waiting(converse: Any) -> None:
     """Of 30 jogs of 1 mm, some are in the planner and some unread when the stop (0x19) comes."""
 
-    def steps(talk: Talk) -> Steps:
+    def session(talk: Talk) -> Script:
         """Send 30 jogs of 1 mm; stop (0x19) after 3 s; nothing moves afterwards."""
         yield from talk.ask(_FAST)
         yield from talk.ask("$J=G91X1F500\n" * 30, "ms 2000")
@@ -408,13 +412,13 @@ def test_stop_ends_jogs_that_are_still_waiting(converse: Any) -> None:
         assert 0 < float(x_mm) < 29
         assert f"MPos:{x_mm}," in (yield from talk.after(2000, "?"))[0]
 
-    converse(steps)
+    converse(session)
 
 
 def test_gsender_stops_a_job_by_force(converse: Any) -> None:
     """It sends a stop (0x19) and a hold at once, then a reset: idle, with no further output."""
 
-    def steps(talk: Talk) -> Steps:
+    def session(talk: Talk) -> Script:
         """Stop and hold (0x19, !), then reset (0x18): idle, and no more output."""
         yield from talk.ask(_FAST)
         yield from talk.ask("G1X50F1200\n", "ok")
@@ -423,13 +427,13 @@ def test_gsender_stops_a_job_by_force(converse: Any) -> None:
         assert (yield from talk.ask("?", "report"))[0].startswith("<Idle")
         assert (yield from talk.after(2000)) == []
 
-    converse(steps)
+    converse(session)
 
 
 def test_reset_during_a_stop_is_one_reset(converse: Any) -> None:
     """With 5 mm/s2 the stop (0x19) decelerates for seconds. A reset (0x18) comes in this time."""
 
-    def steps(talk: Talk) -> Steps:
+    def session(talk: Talk) -> Script:
         """Reset (0x18) while a stop (0x19) decelerates with 5 mm/s2: one welcome."""
         yield from talk.ask("$110=6000\n$120=5\n")
         yield from talk.ask("G1X50F1200\n", "ok")
@@ -437,7 +441,7 @@ def test_reset_during_a_stop_is_one_reset(converse: Any) -> None:
         yield from talk.after(100, "\x19")
         assert (yield from talk.after(2000, "\x18")).count(_WELCOME) == 1
 
-    converse(steps)
+    converse(session)
 
 
 @pytest.mark.parametrize("together", [True, False])
@@ -447,7 +451,7 @@ def test_gsender_unlocks(together: bool, converse: Any) -> None:
     together: in one transmission, so that the stop is read before $X is executed.
     """
 
-    def steps(talk: Talk) -> Steps:
+    def session(talk: Talk) -> Script:
         """Unlock after a reset that needs homing; the stop (0x19) must not lock again."""
         yield from talk.ask("$22=1\n")
         yield from talk.after(100, "\x18")
@@ -459,13 +463,13 @@ def test_gsender_unlocks(together: bool, converse: Any) -> None:
         assert "ok" in lines
         assert (yield from talk.ask("?", "report"))[-1].startswith("<Idle")
 
-    converse(steps)
+    converse(session)
 
 
 def test_full_report_names_the_alarm(converse: Any) -> None:
     """The failed probing move is alarm 5. The full report (0x87) has its number, ? has not."""
 
-    def steps(talk: Talk) -> Steps:
+    def session(talk: Talk) -> Script:
         """A probing move with nothing to touch is alarm 5: read it, unlock, read again."""
         yield from talk.ask("$21=1\n")
         yield from talk.ask("G38.2X1F100\n", "ok")
@@ -475,7 +479,7 @@ def test_full_report_names_the_alarm(converse: Any) -> None:
         yield from talk.ask("$X\n")
         assert (yield from talk.ask("\x87", "report"))[0].startswith("<Idle|")
 
-    converse(steps)
+    converse(session)
 
 
 # The network, and our own tools
@@ -551,7 +555,7 @@ def test_default_dialect_has_none_of_it() -> None:
     rig = Rig(plain, factory_store(plain))
     sender = Sender(rig)
 
-    def script() -> Steps:
+    def script() -> Script:
         """Send grblHAL's bytes, which get no answer, and commands, which are refused."""
         sender.allow(_PATIENCE_MS)
         yield from sender.wait("banner", "")

@@ -1,4 +1,11 @@
-"""Test TMC2209 drivers: their settings and reports; nothing moves while one has a fault."""
+"""Test TMC2209 drivers: their settings and reports; nothing moves while one has a fault.
+
+The model (tools/sim/tmc2209.py) has a Driver with registers for each motor; driver(machine, motor)
+is one of them. run_script() sends lines, waits seconds (numbers) and calls functions, in order; it
+returns the output. add_walls() puts an obstacle at each axis and returns the stall thresholds in
+use there. Machine.received is all output, physical() the motors' steps, reported() the last
+position.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from types import ModuleType
@@ -211,24 +218,26 @@ _FAULTS: "list[tuple[Callable[[Machine], None], str]]" = [
 ]
 
 
-@pytest.mark.parametrize(("trouble", "words"), _FAULTS)
+@pytest.mark.parametrize(("cause_fault", "words"), _FAULTS)
 def test_fault_while_idle_is_an_alarm_reported_once(
-    trouble: "Callable[[Machine], None]", words: str
+    cause_fault: "Callable[[Machine], None]", words: str
 ) -> None:
-    """trouble: causes the fault at Y's driver, or on the wire to all; words: of its message."""
+    """cause_fault: causes it at Y's driver, or on the wire to all; words: of its message."""
     machine = make_machine()
-    output = run_script(machine, ["G1X1F600", 1.0, trouble, 2.0])
+    output = run_script(machine, ["G1X1F600", 1.0, cause_fault, 2.0])
     assert output[0] == "ok"
     assert any(words in line for line in output), output
     assert output.count("ALARM:35") == 1
     assert sum(words in line for line in output) <= 3  # once for each driver that has it
 
 
-@pytest.mark.parametrize(("trouble", "words"), _FAULTS[:9])
-def test_nothing_moves_during_a_fault(trouble: "Callable[[Machine], None]", words: str) -> None:
+@pytest.mark.parametrize(("cause_fault", "words"), _FAULTS[:9])
+def test_nothing_moves_during_a_fault(
+    cause_fault: "Callable[[Machine], None]", words: str
+) -> None:
     """The fault exists from power-up. Neither a move, a jog, probing nor homing starts."""
     machine = make_machine(_HOMING)
-    trouble(machine)
+    cause_fault(machine)
     for line in ("G1X1F600", "$J=G91X1F600", "G38.3X2F100", "$H"):
         output = run_script(machine, ["$X", 0.5, line, 1.0])
         assert any(words in message for message in output), (line, output)

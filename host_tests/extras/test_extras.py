@@ -1,4 +1,9 @@
-"""Test extras: modules with install(cnc), added to a machine that does not know them."""
+"""Test extras: modules with install(cnc), added to a machine that does not know them.
+
+Bench(…, install).say() powers up a machine with this extra and sends texts, each with what to wait
+for: "ok" (an answer), "idle" or "ms 50" (50 ms); it returns the replies to each. lines() are texts
+that wait for "ok".
+"""
 
 import sys
 from collections.abc import Callable, Iterator

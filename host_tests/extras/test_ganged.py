@@ -1,4 +1,9 @@
-"""Test two motors on an axis: homing, squaring, and motion of all motors afterwards."""
+"""Test two motors on an axis: homing, squaring, and motion of all motors afterwards.
+
+Gantry.output_after() plays lines, with real-time bytes at some ms, and returns the output;
+physical() are the steps of the motors X, Y, Z and of Y's second motor, reported() the last
+reported position.
+"""
 
 import json
 import os
@@ -117,11 +122,11 @@ def test_gantry_is_square_within_a_step_for_any_offset() -> None:
     $171 is how much further from its switch the second motor ends than the first, in mm.
     UGRBL_TORTURE=1000 tries 1000 gantries.
     """
-    chance = random.Random(19)
+    rng = random.Random(19)
     for _ in range(_GANTRIES):
-        racked, offset = chance.randint(-600, 600), round(chance.uniform(-3, 3), 3)
-        seek = chance.choice((600, 1500, 3000))
-        negative = chance.random() < 0.5
+        racked, offset = rng.randint(-600, 600), round(rng.uniform(-3, 3), 3)
+        seek = rng.choice((600, 1500, 3000))
+        negative = rng.random() < 0.5
         gantry = Gantry(racked, settings={25: seek, 171: offset, 23: 2 if negative else 0})
         if negative:  # the switch of Y is at the other end
             for switch in gantry.rig.engine.switches:
@@ -207,7 +212,7 @@ def test_repeated_homing_racks_no_further() -> None:
             gantry.rig.link.send(b"$H\n")
             yield gantry.rig.ms(12_000)  # the alarm has come
             gantry.rig.link.send(b"$X\nG91 G1 Y-6 F3000\n")
-            yield gantry.rig.ms(3_000)
+            yield gantry.rig.ms(3_000)  # until it has moved
         gantry.take()
 
     gantry.run(script())

@@ -1,4 +1,8 @@
-"""Test which axes $H homes, and in which order."""
+"""Test which axes $H homes, and in which order.
+
+home() returns a machine after $H, and its axes in the order in which they met their switches.
+Machine.physical() are the motors' steps, Machine.reported() is the last reported position in mm.
+"""
 
 from types import ModuleType
 from typing import Any
@@ -59,7 +63,7 @@ def home(
 def test_axes_are_homed_in_order_and_unnamed_ones_are_not() -> None:
     machine, order = home()
     assert order == ["X", "Y"]
-    assert machine.reported() == [-1, -1, 0]
+    assert machine.reported() == [-1, -1, 0]  # $27, the pull-off, is 1 mm
     assert machine.physical()[2] == 0
 
 

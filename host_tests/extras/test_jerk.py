@@ -202,22 +202,21 @@ def test_examples_keep_every_law(program, limits: Limits, jerk) -> None:
 
 @programs
 def test_corexy_keeps_every_law_of_its_motors(program) -> None:
-    bench = JerkBench(replace(fast, moves=COREXY), (20_000.0,) * 3)
+    bench = JerkBench(replace(fast, moves=COREXY), jerk=(20_000.0,) * 3)
     program(bench)
     bench.check()
 
 
 @pytest.mark.parametrize("chords", [24, 300])
 def test_circle_of_chords_keeps_every_law(chords: int) -> None:
-    bench = JerkBench(fast, (20_000.0,) * 3)
-    circle(bench, 4.0, chords, 2400)  # radius in mm, lines, feed
+    bench = JerkBench(fast, jerk=(20_000.0,) * 3)
+    circle(bench, radius=4.0, chords=chords, feed=2400)
     bench.check()
 
 
 @pytest.mark.parametrize("segment_log2", [12, 14, 17])
 def test_coarse_ticks_and_short_segments_keep_every_law(segment_log2: int) -> None:
-    # 16 planner blocks, ticks of 1 us, segments of 2**segment_log2 ticks
-    bench = JerkBench(fast, (20_000.0,) * 3, 16, 1_000_000, segment_log2)
+    bench = JerkBench(fast, jerk=(20_000.0,) * 3, tick_hz=1_000_000, segment_log2=segment_log2)
     zigzag(bench)
     bench.check()
 
@@ -225,7 +224,7 @@ def test_coarse_ticks_and_short_segments_keep_every_law(segment_log2: int) -> No
 @pytest.mark.parametrize("after", [1, 7, 20, 33, 40, 61, 90])
 def test_hold_at_any_moment_keeps_every_law(after: int) -> None:
     """fast and 20,000: the limits of speed and acceleration, and of jerk in mm/s3."""
-    bench = JerkBench(fast, (20_000.0,) * 3)
+    bench = JerkBench(fast, jerk=(20_000.0,) * 3)
     zigzag(bench)
     bench.pull(after)  # this number of segments
     bench.hold()
@@ -235,7 +234,7 @@ def test_hold_at_any_moment_keeps_every_law(after: int) -> None:
 @pytest.mark.parametrize("after", [1, 7, 20, 33, 40])
 def test_hold_released_before_the_stop_keeps_every_law(after: int) -> None:
     """The machine brakes for a hold, and speeds up again before it has stopped."""
-    bench = JerkBench(fast, (20_000.0,) * 3)
+    bench = JerkBench(fast, jerk=(20_000.0,) * 3)
     zigzag(bench)
     bench.pull(40)  # segments: in full motion
     bench.segments.hold(True)
@@ -248,7 +247,7 @@ def test_hold_released_before_the_stop_keeps_every_law(after: int) -> None:
 @pytest.mark.parametrize("after", [1, 7, 20, 40])
 def test_override_at_any_moment_keeps_every_law(feed: int, after: int) -> None:
     """The feed override changes in motion, and once more after as many segments."""
-    bench = JerkBench(fast, (20_000.0,) * 3)
+    bench = JerkBench(fast, jerk=(20_000.0,) * 3)
     zigzag(bench)
     bench.pull(after)  # this number of segments
     bench.override(feed)  # feed in %
@@ -263,13 +262,13 @@ def test_clearing_in_motion_leaves_nothing_in_the_filter(after: int) -> None:
 
     A program that follows must make the same segments as on a new bench.
     """
-    bench = JerkBench(fast, (20_000.0,) * 3)
+    bench = JerkBench(fast, jerk=(20_000.0,) * 3)
     bench.line((3, 1, 0), 2000)
     bench.line((3, 4, 0), 2000)
     bench.pull(after)  # this number of segments
     bench.planner.clear()
     assert not bench.pull()  # no segment is left
-    fresh = JerkBench(fast, (20_000.0,) * 3)
+    fresh = JerkBench(fast, jerk=(20_000.0,) * 3)
     for each in (bench, fresh):
         each.planner.sync_motors(array("i", (0, 0, 0)))
         made_before = len(each.watch.made)
@@ -307,7 +306,7 @@ def test_parking_moves_between_two_halves_of_a_block(segments_before: int) -> No
     """
     steps_per_mm, jerk_mm_s3 = 250, 20_000.0  # the first as in `fast`
     is_executed = 2  # value of flow[SYSTEM]: see layout.py
-    bench = JerkBench(fast, (jerk_mm_s3,) * 3)
+    bench = JerkBench(fast, jerk=(jerk_mm_s3,) * 3)
     zigzag(bench)
     bench.pull(segments_before)
     bench.segments.hold(True)
@@ -403,7 +402,7 @@ def test_both_pythons_make_the_same_rows(capsys: pytest.CaptureFixture[str]) -> 
 
 def duration(limits: Limits, jerk: float, program) -> "tuple[float, JerkBench]":
     """Return the time of a program in s, and its bench; jerk in mm/s3, 0: no limit."""
-    bench = JerkBench(limits, (jerk,) * 3)
+    bench = JerkBench(limits, jerk=(jerk,) * 3)
     program(bench)
     bench.finish()
     last_segment = bench.watch.made[-1]
@@ -433,7 +432,7 @@ def test_curve_of_short_lines_takes_longer_only_at_its_ends() -> None:
     """A circle of 600 lines does not stop within: only its ends cost the time of the filter."""
 
     def curve(bench: Bench) -> None:
-        circle(bench, 20.0, 600, 2400)
+        circle(bench, radius=20.0, chords=600, feed=2400)
 
     limits = Limits((250.0,) * 3, (6000.0,) * 3, (1000.0,) * 3)
     unlimited_s, _ = duration(limits, 0, curve)
@@ -498,7 +497,7 @@ def test_short_lines_take_little_longer(program: Any, most: float) -> None:
     limits = Limits((80.0,) * 3, (6000.0,) * 3, (1000.0,) * 3)
     durations_ticks = []
     for jerk in (0.0, 20_000.0):
-        bench = JerkBench(limits, (jerk,) * 3, 64)  # 64 planner blocks
+        bench = JerkBench(limits, jerk=(jerk,) * 3, blocks=64)
         program(bench)
         bench.planner.catch_up()
         bench.check()
@@ -510,7 +509,7 @@ def test_short_lines_take_little_longer(program: Any, most: float) -> None:
 def test_acceleration_is_reduced_if_the_filter_would_be_too_long() -> None:
     """1000 mm/s2 at a jerk of 100 mm/s3 would need a filter of 20 s."""
     limits = Limits((250.0,) * 3, (6000.0,) * 3, (1000.0,) * 3)
-    bench = JerkBench(limits, (100.0,) * 3)
+    bench = JerkBench(limits, jerk=(100.0,) * 3)
     bench.line((20, 0, 0))
     bench.check()
     assert bench.slots == 64  # the most; of 0.01 s each
@@ -521,14 +520,14 @@ def test_acceleration_is_reduced_if_the_filter_would_be_too_long() -> None:
 
 @pytest.mark.parametrize("blocks", [3, 64])
 def test_short_and_long_rings_keep_every_law(blocks: int) -> None:
-    bench = JerkBench(fast, (20_000.0,) * 3, blocks)  # blocks of the planner
-    circle(bench, 4.0, 300, 2400)  # radius in mm, lines, feed
+    bench = JerkBench(fast, jerk=(20_000.0,) * 3, blocks=blocks)
+    circle(bench, radius=4.0, chords=300, feed=2400)
     bench.check()
 
 
 def test_power_follows_the_speed_of_the_segments() -> None:
     """Dynamic power (M4) is proportional to speed, here to that after the filter."""
-    bench = JerkBench(fast, (20_000.0,) * 3)
+    bench = JerkBench(fast, jerk=(20_000.0,) * 3)
     bench.planner.table[layout.POWER_MAX] = 1000
     # 2400 mm/min are 40 mm/s.
     bench.line((6.0, 2.0, 0.0), 2400, DYNAMIC)
@@ -548,7 +547,7 @@ def test_unused_rest_of_a_slot_does_not_lengthen_the_next(left: int) -> None:
 
     Added to the next segment, they would be time that no ramp includes.
     """
-    bench = JerkBench(fast, (20_000.0,) * 3)
+    bench = JerkBench(fast, jerk=(20_000.0,) * 3)
     bench.line((3, 1, 0), 2000)
     bench.line((6, 1, 0), 2000)
     bench.pull(9)  # segments: in motion
@@ -607,7 +606,7 @@ def test_board_with_the_limit_off_moves_like_one_without_the_module() -> None:
 def test_removed_limit_leaves_no_effect() -> None:
     """Moves with a limit that is set back to 0 do not change the steps of the lines after it."""
     lines = [*JOB, "G1X5Y1", "G4P0"]
-    plain, limited = Machine(None, board()), Machine(None, board())
+    plain, limited = Machine(board=board()), Machine(board=board())
     plain.play(["$800=0", *lines])
     limited.play(["$800=9000", "G91G1X.1F300", "G1X-.1", "$800=0", *lines])
     plain_rows = [row for _, row in plain.rows]
@@ -626,7 +625,7 @@ def test_long_ring_is_streamed_to_its_last_line() -> None:
 
 def test_limit_is_a_stored_setting_per_axis() -> None:
     """$800 to $802 are the jerk of X, Y and Z in mm/s3. A negative value is refused."""
-    machine = Machine(None, board())
+    machine = Machine(board=board())
     machine.play(["$800=9000", "$802=1500.5", "$801=-1", "$$"])
     listed = [line for line in machine.received if line.startswith("$80")]
     assert listed == ["$800=9000.000", "$801=0.000", "$802=1500.500"]

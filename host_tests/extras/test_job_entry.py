@@ -35,7 +35,7 @@ _REFUSALS = (
 )
 
 
-class Witness(Bench):
+class RecordingBench(Bench):
     """Records the moves of the interpreter with the modal state, by lines of the job."""
 
     def _listen(self) -> None:
@@ -79,9 +79,9 @@ def lines_of(name: str) -> list[str]:
 
 
 @cache
-def whole(name: str, laser: bool, folder: Path) -> list[tuple[int, Any]]:
+def log_of_whole_run(name: str, laser: bool, folder: Path) -> list[tuple[int, Any]]:
     """Return the log of a whole run in check mode."""
-    bench = Witness(folder, LENIENT=True)
+    bench = RecordingBench(folder, LENIENT=True)
     with_switches(bench).put("ALL.NC", *lines_of(name))
     bench.run(until_job_ends(*FAST, *HOMED, LASER[laser], "$C", "$F=ALL.NC"))
     return bench.log
@@ -105,8 +105,8 @@ def test_program_entered_at_a_line_continues_like_a_whole_run(
     folder = tmp_path_factory.getbasetemp() / name
     folder.mkdir(exist_ok=True)
     laser = rng.random() < 0.5
-    whole_log = whole(name, laser, folder)
-    bench = Witness(folder, LENIENT=True)
+    whole_log = log_of_whole_run(name, laser, folder)
+    bench = RecordingBench(folder, LENIENT=True)
     with_switches(bench).put("PART.NC", *lines[: line + _COMPARED])
     output = bench.run(until_job_ends(*FAST, *HOMED, LASER[laser], f"$F=PART.NC@{line}"))
     if f"[MSG:Job PART.NC: continues at line {line}]" not in output:

@@ -86,7 +86,7 @@ def run_and_stop(bench: Bench, *lines: str) -> None:
     def script(bench: Bench) -> Iterator[Any]:
         yield from say(*FAST, *HOMED, "$F=A.NC", wait_s=5)(bench)
         bench.rig.link.send(b"!")
-        yield bench.rig.ms(500)
+        yield bench.rig.ms(500)  # until it has stopped
         yield from bench.sender.wait("banner", "\x18")
 
     bench.run(script)

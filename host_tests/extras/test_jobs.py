@@ -89,7 +89,7 @@ class Bench:
         def whole_script() -> Iterator[Any]:
             """Wait for the welcome, run the script; keep output and final steps."""
             yield from self.sender.wait("banner", "")
-            yield self.rig.ms(100)
+            yield self.rig.ms(100)  # what follows the welcome is received
             yield from script(self)
             output.extend(self.sender.take())
             # position() writes the steps into its argument.
@@ -330,7 +330,7 @@ def test_sender_gets_the_progress_and_its_lines_are_refused(tmp_path: Path) -> N
     def script(bench: Bench) -> Iterator[Any]:
         """Start the job; send lines that are refused; complete a line after its end."""
         yield from bench.sender.wait("ok", "$F=A.NC\n")
-        yield bench.rig.ms(1000)
+        yield bench.rig.ms(1000)  # the job runs
         bench.sender.take()
         yield from bench.sender.wait("report", "?")
         assert "|SD:100.0,/A.NC>" in bench.sender.lines[0]  # all lines are in the ring
@@ -345,7 +345,7 @@ def test_sender_gets_the_progress_and_its_lines_are_refused(tmp_path: Path) -> N
         bench.rig.link.send(b"G1 X")  # continues after the job
         yield bench.rig.ms(9000)  # the job ends
         yield from bench.sender.wait("ok", "7F600\n")
-        yield bench.rig.ms(3000)
+        yield bench.rig.ms(3000)  # until 7 mm are moved
 
     output = bench.run(script)
     assert output == ["[MSG:Job A.NC: done, 41 lines]", "ok"]
@@ -359,7 +359,7 @@ def test_line_sent_after_the_start_command_comes_first(tmp_path: Path) -> None:
 
     def script(bench: Bench) -> Iterator[Any]:
         yield from bench.sender.wait("ok", "$F=A.NC\nG0Y1\n")
-        yield bench.rig.ms(5000)
+        yield bench.rig.ms(5000)  # the job ends
 
     assert bench.run(script)[-1] == "[MSG:Job A.NC: done, 1 lines]"
     assert bench.moves == [(0, 1, 0), (5, 1, 0)]
@@ -375,7 +375,7 @@ def test_hold_stores_the_line_and_a_cycle_start_resumes(tmp_path: Path) -> None:
         yield from bench.sender.wait("ok", "$F=A.NC\n")
         yield bench.rig.ms(1650)  # in a line in the middle
         bench.rig.link.send(b"!")
-        yield bench.rig.ms(1000)
+        yield bench.rig.ms(1000)  # until it has stopped
         # position() writes the steps into its argument; 250 steps/mm, and each line is 1 mm.
         bench.rig.engine.position(bench.rig.scratch)
         line = int(bench.rig.scratch[0] / 250) + 2  # after G91, and counted from 1
@@ -399,7 +399,7 @@ def test_reset_ends_the_job_and_reports_its_line(tmp_path: Path) -> None:
         yield from bench.sender.wait("ok", "$F=A.NC\n")
         yield bench.rig.ms(1650)  # in a line in the middle
         yield from bench.sender.wait("banner", "\x18")
-        yield bench.rig.ms(3000)
+        yield bench.rig.ms(3000)  # all messages have arrived
         yield from bench.sender.wait("ok", "$X\n")
 
     output = bench.run(script)
@@ -449,7 +449,7 @@ def test_start_button_runs_its_job_only_while_idle(tmp_path: Path) -> None:
         for _ in range(2):
             bench.press()
             yield bench.rig.ms(100)
-        yield bench.rig.ms(5000)
+        yield bench.rig.ms(5000)  # a job ends in this time
 
     assert bench.run(press) == []
     output = bench.run(say("$FB", "$FB=A.NC", "$FB", wait_s=0))
@@ -487,7 +487,7 @@ def push(name: str, data: bytes, checksum: "int | None" = None, cut: int = -1) -
                 return
             bench.rig.link.send(piece)
         yield from sender.until(lambda: sender.answers > 0)
-        yield bench.rig.ms(100)
+        yield bench.rig.ms(100)  # messages after the answer arrive
 
     return script
 
@@ -547,9 +547,9 @@ def test_reset_ends_the_transfer(tmp_path: Path) -> None:
     def script(bench: Bench) -> Iterator[Any]:
         """Announce a file, ask for a report, reset, and send a line."""
         bench.rig.link.send(b"$FU=A.NC,5000,0\n")
-        yield bench.rig.ms(500)
+        yield bench.rig.ms(500)  # in the transfer
         bench.rig.link.send(b"?")
-        yield bench.rig.ms(500)
+        yield bench.rig.ms(500)  # the report arrives
         yield from bench.sender.wait("banner", "\x18")
         yield from bench.sender.wait("ok", "$G\n")
 
@@ -674,18 +674,18 @@ def test_start_button_starts_the_job_from_its_beginning(tmp_path: Path) -> None:
         yield from say("$FB=A.NC", wait_s=0)(bench)
         machine = bench.rig.controller
         bench.rig.link.send(b"!")
-        yield bench.rig.ms(300)
+        yield bench.rig.ms(300)  # the hold is complete
         assert machine.state.run == HOLD
         bench.press()  # only ends the hold
-        yield bench.rig.ms(3000)
+        yield bench.rig.ms(3000)  # a job would have begun
         assert bench.moves == []
         bench.rig.link.send(b"G4P0.5\n")  # a dwell: the machine is not idle
-        yield bench.rig.ms(200)
+        yield bench.rig.ms(200)  # in the dwell
         bench.press()
-        yield bench.rig.ms(3000)
+        yield bench.rig.ms(3000)  # the dwell and a job would have ended
         assert bench.moves == []
         bench.press()
-        yield bench.rig.ms(3000)
+        yield bench.rig.ms(3000)  # the job ends
 
     assert bench.run(script)[-1] == "[MSG:Job A.NC: done, 3 lines]"
     assert bench.moves == [(5, 0, 0), (5, 5, 0)]
@@ -706,10 +706,10 @@ def test_hold_is_noted_when_tool_is_parked_not_while_it_moves(tmp_path: Path) ->
         while bench.rig.controller.state.system_motion:
             assert bench.job_record()[1] == "1"  # stored when it began
             yield bench.rig.ms(5)
-        yield bench.rig.ms(200)
+        yield bench.rig.ms(200)  # the line is stored
         assert bench.job_record()[1] == "2" and not bench.rig.moving()
         bench.rig.link.send(b"~")
-        yield bench.rig.ms(15_000)
+        yield bench.rig.ms(15_000)  # the job ends
 
     assert bench.run(script)[-1] == "[MSG:Job DOOR.NC: done, 2 lines]"
     # 20 mm and -10 mm at 250 steps/mm.
@@ -732,9 +732,9 @@ def test_hold_while_the_entry_is_computed_keeps_the_tool_in_place(
         yield from say(*FAST, *HOMED, wait_s=0)(bench)
         bench.moves.clear()
         bench.rig.link.send(b"$F=A.NC@3000\n")
-        yield bench.rig.ms(20)
+        yield bench.rig.ms(20)  # the lines before the entry are being read
         bench.rig.link.send(byte)
-        yield bench.rig.ms(20_000)
+        yield bench.rig.ms(20_000)  # longer than reading them takes
 
     output = bench.run(script)
     assert "[MSG:Job A.NC: the start was interrupted by a hold, door or sleep]" in output
@@ -754,7 +754,7 @@ def test_job_continues_with_the_modes_in_force_at_its_start(tmp_path: Path) -> N
         setup = ("G10L2P2X-9Y-9Z-9", "G55", "G43.1Z3", "$F=A.NC")
         yield from say(*FAST, *HOMED, *setup, wait_s=4)(bench)  # in line 4, which is slow
         bench.rig.link.send(b"!")
-        yield bench.rig.ms(2000)
+        yield bench.rig.ms(2000)  # until it has stopped
         yield from bench.sender.wait("banner", "\x18")
         bench.moves.clear()
         yield from say("$H", "$F=@", wait_s=20)(bench)
@@ -792,7 +792,7 @@ def test_client_that_opens_the_port_in_a_dwell_is_welcomed_and_the_job_continues
         link, report._link = report._link, SimpleNamespace(write=greeting.append)
         bench.rig.controller.welcome()
         report._link = link
-        yield bench.rig.ms(5000)
+        yield bench.rig.ms(5000)  # the job ends
 
     assert bench.run(script)[-1] == "[MSG:Job A.NC: done, 4 lines]"
     assert b"Grbl 1.1h" in bytes(greeting[0])

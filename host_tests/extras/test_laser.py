@@ -50,18 +50,18 @@ def make_spindle(most: float, least: float, full: int) -> Spindle:
 def test_power_is_grbls_with_the_same_resolution(
     rpm: float, most: float, least: float, power: int
 ) -> None:
-    assert make_spindle(most, least, 255).power(rpm) == power
+    assert make_spindle(most, least, full=255).power(rpm) == power
 
 
 @pytest.mark.parametrize(("rpm", "most", "least", "power"), _RECORDED)
 def test_power_of_finer_steps_is_within_one_step_of_grbls(
     rpm: float, most: float, least: float, power: int
 ) -> None:
-    assert abs(make_spindle(most, least, 1000).power(rpm) * 255 / 1000 - power) <= 1
+    assert abs(make_spindle(most, least, full=1000).power(rpm) * 255 / 1000 - power) <= 1
 
 
 def test_s_without_m3_and_m4_is_no_power() -> None:
-    spindle = make_spindle(1000, 0, 1000)
+    spindle = make_spindle(most=1000, least=0, full=1000)
     assert spindle.block_power(0, 500) == 0
     assert spindle.block_power(CW, 500) == 500
 

@@ -238,7 +238,7 @@ def test_m400_is_answered_when_motion_has_ended() -> None:
         link.send(b"G1 X5 F500\n")
         yield bench.rig.ms(200)  # in motion
         link.send(b"M114\n")
-        yield bench.rig.ms(10)
+        yield bench.rig.ms(10)  # the answer arrives
         sender.poll()
         replies.extend(sender.take())
         assert bench.rig.moving()
@@ -637,7 +637,7 @@ def board(tmp_path_factory: pytest.TempPathFactory) -> str:
     return str(file)
 
 
-def motion(lines: "Sequence[str]", board: str) -> "dict[str, Any]":
+def run_totals(lines: "Sequence[str]", board: str) -> "dict[str, Any]":
     """Return steps, bounds and final position of a program, which must be accepted."""
     result, _ = run_program([line.encode("latin-1") for line in lines], board=board)
     assert not result.errors and not result.stopped, result
@@ -657,7 +657,7 @@ def test_lines_of_places_drill_on_the_fast_path(board: str) -> None:
     for place in ["X5 Y5", *places]:
         by_hand += [f"G0 {place}", "G0 Z2", "G1 Z-2", "G0 Z10"]
     by_hand += ["G0 X1", "X2", "M2"]
-    assert motion(program, board) == motion(by_hand, "rpi_pico")
+    assert run_totals(program, board) == run_totals(by_hand, "rpi_pico")
 
 
 @pytest.mark.thorough
@@ -745,4 +745,4 @@ def _drilled(drill: "dict[str, str]", words: "dict[str, str]") -> "Iterator[str]
 def test_programs_move_like_a_copy_corrected_by_hand(name: str, board: str) -> None:
     lines = read_lines(_PROGRAMS / name)[:_MAX_LINES]
     as_it_is = [line.decode("latin-1") for line in lines]
-    assert motion(as_it_is, board) == motion(by_hand(lines), "rpi_pico")
+    assert run_totals(as_it_is, board) == run_totals(by_hand(lines), "rpi_pico")

@@ -178,10 +178,10 @@ def axis_words(at: Place) -> str:
 @pytest.mark.parametrize("tolerance", [0.01, 0.1])
 def test_lines_keep_within_the_arc_tolerance(kind: str, tolerance: float) -> None:
     """Random lines of the tool, which joints follow by many short chords."""
-    places = random_places(kind, 7, 4)
+    places = random_places(kind, seed=7, count=4)
     lines = [f"G1{axis_words(end)}F3000" for end in places[1:]]
     # $12 is the arc tolerance, in mm.
-    cnc = machine_after(kind, lines, {12: tolerance})
+    cnc = machine_after(kind, lines, settings={12: tolerance})
     assert "error" not in " ".join(cnc.received)
     error_mm = largest_deviation(
         cnc, kind, lambda at: min(from_line(at, a, b) for a, b in pairwise(places))
@@ -196,7 +196,7 @@ def test_arcs_and_helices_keep_within_the_arc_tolerance(kind: str) -> None:
     x, y = _MIDDLE[kind]
     first = (x + 20.0, y, 0.0)
     lines = [f"G1{axis_words(first)}F3000", f"G3X{x - 20}Y{y}Z-5I-20J0", f"G2X{x + 20}Y{y}I20J0"]
-    cnc = machine_after(kind, lines, {12: 0.02})
+    cnc = machine_after(kind, lines, settings={12: 0.02})
 
     def distance(at: Place) -> float:
         from_circle = abs(math.hypot(at[0] - x, at[1] - y) - 20)
@@ -211,7 +211,7 @@ def test_plotter_moves_straight_through_and_past_the_middle_of_its_table() -> No
     """At the middle of a polar machine's table, a straight line turns the table by 180 degrees."""
     for y_mm in (0.0, 0.001, 0.3):
         lines = ["G0X40Y0", f"G1X40Y{y_mm}F3000", f"G1X-40Y{y_mm}"]
-        cnc = machine_after("polar", lines, {12: 0.02})
+        cnc = machine_after("polar", lines, settings={12: 0.02})
         places = [(0.0, 0.0, 0.0), (40.0, 0.0, 0.0), (40.0, y_mm, 0.0), (-40.0, y_mm, 0.0)]
         lines_of_path = list(pairwise(places))
         error_mm = largest_deviation(
@@ -247,7 +247,7 @@ def test_joints_keep_their_rate_and_acceleration(kind: str, word: str) -> None:
         "polar": ["X100Y1", "X-100Y1", "X-100Y-3", "X100Y-3"],
     }[kind]
     for end, before in zip(ends[1:], ends, strict=False):
-        cnc = make_machine(kind, {12: 0.02})
+        cnc = make_machine(kind, settings={12: 0.02})
         rows_before: list[Any] = []
 
         def script(
@@ -280,7 +280,9 @@ def test_joints_keep_their_rate_and_acceleration(kind: str, word: str) -> None:
 def test_feed_rate_is_the_tools_speed_along_its_path(kind: str) -> None:
     """F1200 is 20 mm/s: the speed between places of the last line, without its ends."""
     x, y = _MIDDLE[kind]
-    cnc = machine_after(kind, [f"G0X{x - 30}Y{y}", "G4P0.1", f"G1X{x + 30}F1200"], {12: 0.02})
+    cnc = machine_after(
+        kind, [f"G0X{x - 30}Y{y}", "G4P0.1", f"G1X{x + 30}F1200"], settings={12: 0.02}
+    )
     steps = [0, 0, 0]
     positions_by_s = []
     for second, motor, direction in pulses(cnc):
@@ -350,7 +352,7 @@ def test_jog_is_straight_and_can_be_cancelled_anywhere(kind: str) -> None:
     """
     x, y = _MIDDLE[kind]
     for ms in range(20, 1500, 130):
-        cnc = make_machine(kind, {12: 0.002}, PLANNER_BLOCKS=8)
+        cnc = make_machine(kind, settings={12: 0.002}, PLANNER_BLOCKS=8)
         cancelled = []
 
         def script(cnc: Machine = cnc, ms: int = ms, cancelled: Any = cancelled) -> Iterator[Any]:
@@ -379,10 +381,10 @@ def test_jog_is_straight_and_can_be_cancelled_anywhere(kind: str) -> None:
 @pytest.mark.parametrize("kind", _KINDS)
 def test_hold_anywhere_keeps_the_path(kind: str) -> None:
     """A hold at different ms, ended 400 ms later, does not move the tool off its lines."""
-    places = random_places(kind, 3, 4)
+    places = random_places(kind, seed=3, count=4)
     lines = [f"G1{axis_words(end)}F3000" for end in places[1:]]
     for ms in range(700, 2500, 480):
-        cnc = machine_after(kind, lines, {12: 0.02}, [(ms, "!"), (ms + 400, "~")])
+        cnc = machine_after(kind, lines, settings={12: 0.02}, events=[(ms, "!"), (ms + 400, "~")])
         error_mm = largest_deviation(
             cnc, kind, lambda at: min(from_line(at, a, b) for a, b in pairwise(places))
         )
@@ -395,7 +397,7 @@ def test_position_is_right_after_a_reset_in_motion(kind: str) -> None:
     """A reset (0x18) at different ms: the report is that of the motors' steps."""
     x, y = _MIDDLE[kind]
     for ms in range(500, 1400, 170):
-        cnc = machine_after(kind, [f"G1X{x}Y{y}F1500", f"G1X{x + 20}F1500"], {}, [(ms, "\x18")])
+        cnc = machine_after(kind, [f"G1X{x}Y{y}F1500", f"G1X{x + 20}F1500"], events=[(ms, "\x18")])
         at = tool_position(kind, cnc.physical())
         assert cnc.reported() == pytest.approx(at, abs=0.002)
 
@@ -407,7 +409,7 @@ def test_probe_reports_a_contact_in_the_middle_of_a_long_line(kind: str) -> None
     The report has the position of that step, and the tool stops within 3 mm.
     """
     x, y = _MIDDLE[kind]
-    cnc = make_machine(kind, {12: 0.002}, PLANNER_BLOCKS=8)
+    cnc = make_machine(kind, settings={12: 0.002}, PLANNER_BLOCKS=8)
     places = []
 
     def set_probe() -> None:
@@ -442,7 +444,7 @@ def test_touch_that_ends_during_a_hold_is_ignored_on_a_long_line(kind: str) -> N
     G38.3 without contact then moves on to its target, and reports failure (:0).
     """
     x, y = _MIDDLE[kind]
-    cnc = make_machine(kind, {12: 0.002}, PLANNER_BLOCKS=8)
+    cnc = make_machine(kind, settings={12: 0.002}, PLANNER_BLOCKS=8)
     rig = cnc.rig
 
     def script() -> "Iterator[Any]":
@@ -455,10 +457,10 @@ def test_touch_that_ends_during_a_hold_is_ignored_on_a_long_line(kind: str) -> N
         yield rig.ms(400)  # held
         held_steps = cnc.physical()
         rig.port.push({"probe": True})
-        yield rig.ms(50)
+        yield rig.ms(50)  # several checks of the probe
         rig.port.push({"probe": False})
         rig.link.send(b"~")
-        yield rig.ms(400)
+        yield rig.ms(400)  # it moves on
         assert cnc.physical() != held_steps
         yield from cnc.rest()
 
@@ -476,7 +478,7 @@ def test_homing_moves_joints_to_their_switches_and_sets_the_tools_position(kind:
     After the pull-off from there, the tool's position is that of forward().
     """
     model = geometry(kind)
-    cnc = make_machine(kind, {22: 1, 24: 600, 25: 3000, 26: 5})
+    cnc = make_machine(kind, settings={22: 1, 24: 600, 25: 3000, 26: 5})
     pull_off = {"scara": 5.0, "polar": 2.0}[kind]  # $27 of the example boards
     at_upper_end = [True, kind == "polar", True]  # of the range of each joint
     for i, letter in enumerate("xyz"):
@@ -504,11 +506,13 @@ def test_soft_limits_apply_to_the_tools_position(kind: str) -> None:
     x, y = _MIDDLE[kind]
     settings = {20: 1, 22: 1, 130: x + 10, 131: 200}
     reset = [(6000, "\x18")]
-    cnc = machine_after(kind, ["$X", f"G0X{x + 5}Y{y}", "G4P0.1", f"G0X{x + 11}"], settings, reset)
+    cnc = machine_after(
+        kind, ["$X", f"G0X{x + 5}Y{y}", "G4P0.1", f"G0X{x + 11}"], settings, events=reset
+    )
     assert "ALARM:2" in cnc.received
     assert math.dist(tool_position(kind, cnc.physical()), (x + 5, y, 0)) < 0.01
     arc_lines = [f"G0X{x + 5}Y{y}", f"G2X{x + 5}Y{y - 10}J-5F900"]
-    cnc = machine_after(kind, ["$X", *arc_lines], {**settings, 130: x + 8}, reset)
+    cnc = machine_after(kind, ["$X", *arc_lines], settings={**settings, 130: x + 8}, events=reset)
     assert "ALARM:2" in cnc.received
 
 

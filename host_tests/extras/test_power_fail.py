@@ -182,12 +182,14 @@ def test_job_resumes_at_the_exact_line_of_the_failure(power: Power, tmp_path: Pa
     assert len(power.writes) == 1 and power.writes[0] + _PAGE_MS < 100
     # It braked after the edge, and stood when the page was written.
     assert power.steps[0] != power.steps[-1] == power.steps[int(power.writes[0]) + 1]
-    lines = power.lines_with(power.steps[-1])
+    possible_lines = power.lines_with(power.steps[-1])
 
     # The supply is gone 100 ms after the edge.
     output = power.next_start(power.flash_after(100))
     parts = report(output)
-    assert parts["job"] == _JOB and parts["sure"] == _CERTAIN and int(parts["line"]) in lines
+    assert (
+        parts["job"] == _JOB and parts["sure"] == _CERTAIN and int(parts["line"]) in possible_lines
+    )
     assert position_mm(parts) == power.position_at(200)
     assert f"{_UNFINISHED}{parts['line']}]" in output
     assert output.index(f"{_UNFINISHED}{parts['line']}]") == 1
@@ -195,11 +197,11 @@ def test_job_resumes_at_the_exact_line_of_the_failure(power: Power, tmp_path: Pa
     output = power.bench.run(say(*HOMED, "$F=@", wait_s=20))
     assert not report(output), "a record is reported once"
     assert f"[MSG:Job {_JOB}: continues at line {parts['line']}]" in output
-    uninterrupted = with_switches(Bench(tmp_path / "whole"))
-    uninterrupted.folder.parent.mkdir()
-    uninterrupted.put(_JOB, *_LINES)
-    uninterrupted.run(until_job_ends(*FAST, *HOMED, f"$F={_JOB}"))
-    assert uninterrupted.steps == power.bench.steps
+    whole_run = with_switches(Bench(tmp_path / "whole"))
+    whole_run.folder.parent.mkdir()
+    whole_run.put(_JOB, *_LINES)
+    whole_run.run(until_job_ends(*FAST, *HOMED, f"$F={_JOB}"))
+    assert whole_run.steps == power.bench.steps
 
 
 @pytest.mark.parametrize(
@@ -213,7 +215,7 @@ def test_cut_at_every_millisecond_leaves_the_record_or_the_journal(
     Without it, the job's stored record (the journal) still has the beginning of the job.
     """
     power.fails_in_job(after_ms)
-    lines = power.lines_with(power.steps[-1])
+    possible_lines = power.lines_with(power.steps[-1])
     (written_ms,) = power.writes
     for ms in range(120):
         image = power.flash_after(ms)
@@ -225,7 +227,9 @@ def test_cut_at_every_millisecond_leaves_the_record_or_the_journal(
         assert not parts or ms > written_ms
         assert parts or ms < written_ms + _PAGE_MS
         if parts:
-            assert int(parts["line"]) in lines and position_mm(parts) == power.position_at(119)
+            assert int(parts["line"]) in possible_lines and position_mm(
+                parts
+            ) == power.position_at(119)
         else:
             assert power.store.files["job"][1] == "1", "the beginning, as noted before"
 
@@ -236,13 +240,13 @@ def test_failure_at_every_millisecond_of_a_job_is_recorded(power: Power, after_m
     """The record is written before 100 ms, with the position and the line of the stop."""
     power.fails_in_job(after_ms)
     (written_ms,) = power.writes
-    lines = power.lines_with(power.steps[-1])
+    possible_lines = power.lines_with(power.steps[-1])
     assert written_ms + _PAGE_MS < 100
     steps_when_written = power.steps[int(written_ms) + 1]
     assert steps_when_written == power.steps[-1], "nothing is written while a step may come"
     parts = report(power.next_start(power.flash_after(100)))
     assert parts["sure"] == _CERTAIN and position_mm(parts) == power.position_at(199)
-    assert int(parts["line"]) in lines
+    assert int(parts["line"]) in possible_lines
 
 
 # Jobs whose lines take the main loop long; it waits in the line of the parameter `line`.
@@ -300,14 +304,14 @@ def test_z_goes_up_and_is_recorded_before_and_after(
     assert first_ms + _PAGE_MS < second_ms < 100 - _PAGE_MS
     up_mm = power.position_at(199)["Z"] - power.position_at(first_ms + 1)["Z"]
     assert round(up_mm, 3) == 1
-    lines = power.lines_with(power.steps[int(first_ms) + 1])
+    possible_lines = power.lines_with(power.steps[int(first_ms) + 1])
     for ms, certainty in (
         (first_ms + 4, "position certain, Z perhaps higher"),
         (second_ms + 4, _CERTAIN),
     ):
         position = power.position_at(first_ms + 1 if ms < second_ms else 199)
         parts = report(power.next_start(power.flash_after(ms)))
-        assert parts["sure"] == certainty and int(parts["line"]) in lines
+        assert parts["sure"] == certainty and int(parts["line"]) in possible_lines
         assert position_mm(parts) == position
 
 
@@ -317,7 +321,7 @@ def test_z_stays_where_it_is_not_homed(monkeypatch: pytest.MonkeyPatch, tmp_path
 
     def script(bench: Bench) -> Iterator[Any]:
         yield from say(*FAST, "G1X9F3000", wait_s=0)(bench)
-        yield bench.rig.ms(50)
+        yield bench.rig.ms(50)  # in motion
         yield from power.fail()
 
     power.bench.run(script)
@@ -341,14 +345,14 @@ def test_supply_that_comes_back_leaves_a_machine_in_alarm(power: Power) -> None:
             yield from power.fail(1000)
             lines.append(power.lines_with(power.steps[-1]))
             Pin(_PIN).drive(0)  # the supply is back
-            yield bench.rig.ms(200)
+            yield bench.rig.ms(200)  # the alarm is reported
             output = bench.sender.take()
             assert "ALARM:36" in output
             parts = report(output)
             assert parts["sure"] == _CERTAIN and bench.job_record()[1] == parts["line"]
             assert int(parts["line"]) in lines[-1]
             yield from say("$X", "$H", "$F=@", wait_s=0)(bench)
-        yield bench.rig.ms(10_000)
+        yield bench.rig.ms(10_000)  # the job ends
 
     assert power.bench.run(script)[-1].endswith("done, 61 lines]")
     # The job went on between both failures.
@@ -361,7 +365,7 @@ def test_nothing_moves_while_the_contact_is_open(power: Power) -> None:
     def script(bench: Bench) -> Iterator[Any]:
         """Try to move with an open contact, close it, and move."""
         Pin(_PIN).drive(1)  # open
-        yield bench.rig.ms(1000)
+        yield bench.rig.ms(1000)  # the alarm is reported
         assert "ALARM:36" in bench.sender.take()
         yield from say("$X", "G0X5", wait_s=3)(bench)
         assert "ALARM:36" in bench.sender.take()
@@ -378,7 +382,7 @@ def test_tool_does_not_turn_while_the_contact_is_open(power: Power) -> None:
     def script(bench: Bench) -> Iterator[Any]:
         """Open the contact, unlock, and try to start the spindle."""
         Pin(_PIN).drive(1)  # open
-        yield bench.rig.ms(1000)
+        yield bench.rig.ms(1000)  # the alarm is reported
         bench.sender.take()
         yield from say("$X", "M3S1000", wait_s=3)(bench)
         assert "ALARM:36" in bench.sender.take()
@@ -424,7 +428,7 @@ def test_failure_stops_the_machine_in_every_state(power: Power, state: str) -> N
         yield from power.fail(1000)
         assert not bench.rig.moving() and power.steps[100] == power.steps[-1]
         Pin(_PIN).drive(0)  # the supply is back
-        yield bench.rig.ms(200)
+        yield bench.rig.ms(200)  # the alarm is reported
 
     output = power.bench.run(script)
     alarm = "ALARM:6" if state == "homing" else "ALARM:36"

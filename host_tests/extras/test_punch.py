@@ -346,7 +346,7 @@ def test_inverted_sensor_is_an_alarm_at_once() -> None:
 # In the middle of a stroke
 
 
-def in_stroke(bench: Bench, place: float = 0.5) -> "Iterator[Any]":
+def start_stroke(bench: Bench, place: float = 0.5) -> "Iterator[Any]":
     """Begin two lines with strokes; wait until the punch is beyond this place (0: up, 1: down)."""
     yield from bench.lines("M3")
     bench.rig.link.send(b"G0X1\nG0X2\n")
@@ -358,7 +358,7 @@ def test_hold_lets_the_stroke_end() -> None:
 
     def script(bench: Bench) -> Iterator[Any]:
         """Send a hold in a stroke, and ~ later."""
-        yield from in_stroke(bench)
+        yield from start_stroke(bench)
         bench.rig.link.send(b"!")
         output = yield from bench.wait_ms(500)
         assert output == ["ok"] and bench.port.place() == UP
@@ -375,7 +375,7 @@ def test_door_interrupts_the_stroke_which_is_made_later() -> None:
 
     def script(bench: Bench) -> Iterator[Any]:
         """Open the door (0x84) in a stroke, and resume."""
-        yield from in_stroke(bench)
+        yield from start_stroke(bench)
         bench.rig.link.send(b"\x84")  # door
         output = yield from bench.wait_ms(500)
         assert output == ["[MSG:Check Door]"] and bench.port.place() == UP
@@ -392,7 +392,7 @@ def test_reset_raises_the_punch_before_the_welcome(place: float) -> None:
 
     def script(bench: Bench) -> Iterator[Any]:
         """Reset (0x18) in a stroke; the punch is up when the welcome is received."""
-        yield from in_stroke(bench, place)
+        yield from start_stroke(bench, place)
         bench.rig.link.send(b"\x18")
         yield from bench.until(lambda: b"Grbl" in bench.rig.link.received)
         assert bench.port.place() == UP
@@ -407,7 +407,7 @@ def test_hard_limit_raises_the_punch() -> None:
 
     def script(bench: Bench) -> Iterator[Any]:
         """Close the limit switch of X in a stroke."""
-        yield from in_stroke(bench)
+        yield from start_stroke(bench)
         bench.rig.port.push({"limit_x": True})
         output = yield from bench.wait_ms(1000)
         assert output == ["ALARM:1", "[MSG:Reset to continue]"]

@@ -1,6 +1,8 @@
 """Test the punch on the ports of real boards: stand-ins for pins, the simulator for pulses.
 
 M3 arms the punch: each motion then ends with a stroke. Without its sensors, nothing moves.
+
+Machine.talk() sends lines, each after the answer to the one before, and returns the whole output.
 """
 
 from collections.abc import Callable, Iterator

@@ -104,7 +104,7 @@ def test_turn_beyond_single_precision_is_an_alarm_also_in_check_mode(before: str
     def script() -> Iterator[Any]:
         yield from machine.start()
         machine.rig.link.send(f"{before}A{'9' * 39}\n".encode())
-        yield machine.rig.ms(1000)
+        yield machine.rig.ms(1000)  # the alarm is reported
         assert "ALARM:2" in machine.take()
 
     machine.run(script())

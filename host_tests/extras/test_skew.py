@@ -420,7 +420,7 @@ def test_soft_limits_apply_to_the_tools_position() -> None:
             yield from cnc.sender.wait("idle", line + "\n", settle=1)
             yield from cnc.rest()
         cnc.rig.link.send(b"G53G0Y-50.01\n")
-        yield cnc.rig.ms(1500)
+        yield cnc.rig.ms(1500)  # the alarm is reported
         cnc.rig.link.send(b"\x18")  # ALARM:2 requires it
         yield from cnc.rest()
 
@@ -532,7 +532,7 @@ def test_corexy_and_ganged_motors_can_have_skew() -> None:
 
 def test_axes_may_have_different_resolutions() -> None:
     """80, 1600 and 400 steps/mm ($100 to $102)."""
-    cnc = make_machine((40.0, -80.0, 20.0), {100: 80, 101: 1600, 102: 400}, watched=False)
+    cnc = make_machine((40.0, -80.0, 20.0), settings={100: 80, 101: 1600, 102: 400}, watched=False)
     cnc.play(["G1X10Y20Z-5F900", "G2X0Y0I-5J-10", "G1X30Y-10Z7"])
     x, y, z = [n / per for n, per in zip(cnc.physical(), (80, 1600, 400), strict=True)]
     assert z == 7

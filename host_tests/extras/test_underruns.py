@@ -3,6 +3,8 @@
 They are reported in $I+ and in status reports.
 
 A drain is a stop because the next line came too late. Moves of 1 mm at 20 mm/s last about 60 ms.
+
+drains() sends lines with a pause in ms after each answer; count() reads the count from its output.
 """
 
 from collections.abc import Iterator

@@ -152,13 +152,13 @@ def first_motors(machine: Machine) -> "set[int]":
 
 def test_both_ends_are_homed_together() -> None:
     machine = homed_machine()
-    assert machine.reported() == [-1] * 4
+    assert machine.reported() == [-1] * 4  # $27, the pull-off, is 1 mm
     assert first_motors(machine) == {0, 1, 2, 3}
 
 
 def test_homing_has_the_order_of_the_board_file() -> None:
     machine = homed_machine(HOMING=("YV", "XU"))
-    assert machine.reported() == [-1] * 4
+    assert machine.reported() == [-1] * 4  # $27, the pull-off, is 1 mm
     assert first_motors(machine) == {1, 3}
 
 
