@@ -36,24 +36,26 @@ def test_a_latin_1_comment_is_sanitized() -> None:
 @given(st.binary(max_size=60))
 def test_comments_never_contain_realtime_characters_after_sanitizing(line: bytes) -> None:
     line = line.replace(b"\n", b"").replace(b"\r", b"")
-    found = problems([line])
-    if not found or found[0].in_comment:  # a problem outside comments is refused, not sanitized
+    found_problems = problems([line])
+    if (
+        not found_problems or found_problems[0].in_comment
+    ):  # a problem outside comments is refused, not sanitized
         assert not has_realtime(sanitize(line))
 
 
 def test_problems_name_the_line_and_the_character() -> None:
     lines = ["G21", "(Ä)", "G1 X10°", "M0 !", "G1 (x?) X1", "\x18"]
-    found = problems([line.encode("utf-8") for line in lines])
+    found_problems = problems([line.encode("utf-8") for line in lines])
     # line, and whether it is in a comment
-    assert [(problem.line, problem.in_comment) for problem in found] == [
+    assert [(problem.line, problem.in_comment) for problem in found_problems] == [
         (2, True),
         (3, False),
         (4, False),
         (5, True),
         (6, False),
     ]
-    assert "'Ä'" in found[0].text and "'°'" in found[1].text
-    assert "feed hold" in found[2].text and "reset" in found[4].text
+    assert "'Ä'" in found_problems[0].text and "'°'" in found_problems[1].text
+    assert "feed hold" in found_problems[2].text and "reset" in found_problems[4].text
 
 
 def test_a_utf_8_byte_order_mark_is_skipped(tmp_path: Path) -> None:

@@ -101,7 +101,7 @@ def test_a_written_file_is_read_back_even_after_blocks_of_others() -> None:
 
 
 @pytest.mark.parametrize(
-    ("data", "said"),
+    ("data", "message"),
     [
         (b"", "no UF2 file"),
         (b"x" * 511, "blocks of 512"),
@@ -111,8 +111,8 @@ def test_a_written_file_is_read_back_even_after_blocks_of_others() -> None:
         (uf2.write(program()) + uf2.write(Flash(RP2350, program().pages)), "not for one of"),
     ],
 )
-def test_files_for_other_chips_or_damaged_files_are_reported(data: bytes, said: str) -> None:
-    with pytest.raises(Uf2Error, match=said):
+def test_files_for_other_chips_or_damaged_files_are_reported(data: bytes, message: str) -> None:
+    with pytest.raises(Uf2Error, match=message):
         uf2.read(data)
 
 
@@ -124,15 +124,15 @@ def test_micropython_reports_where_its_file_system_is() -> None:
 
 
 @pytest.mark.parametrize(
-    ("flash", "said"),
+    ("flash", "message"),
     [
         (Flash(RP2040), "no MicroPython"),
         (program(name="CircuitPython"), "no MicroPython"),
         (program(devices=0), "no MicroPython with a file system"),
     ],
 )
-def test_other_programs_are_reported(flash: Flash, said: str) -> None:
-    with pytest.raises(Uf2Error, match=said):
+def test_other_programs_are_reported(flash: Flash, message: str) -> None:
+    with pytest.raises(Uf2Error, match=message):
         binary_info.about(flash)
 
 
@@ -234,7 +234,7 @@ def test_a_file_that_does_not_fit_is_named() -> None:
 # The whole file
 
 
-def made(**files: bytes) -> Build:
+def small_build(**files: bytes) -> Build:
     """Return a small build, with these files."""
     return Build("armv6m", {"main.py": b"main", "motion/__init__.mpy": b"M\6", **files}, "pio")
 
@@ -256,7 +256,7 @@ def test_a_drag_leaves_micropython_and_the_files_of_a_deployment(tmp_path: Path)
     )
     contents.check_fit(micropython_image, "armv6m", "pio")
     settings_files = contents.settings_files("rpi_pico", settings)
-    files = contents.files(made(), {"custom.py": b"# mine", **settings_files})
+    files = contents.files(small_build(), {"custom.py": b"# mine", **settings_files})
     chip, files_on_board = after_a_drag(contents.join(micropython_image, files))
     assert all(chip[at - BASE : at - BASE + PAGE] == page for at, page in flash.pages.items())
     assert files_on_board == files and files_on_board["custom.py"] == b"# mine"
@@ -267,7 +267,7 @@ def test_a_drag_leaves_micropython_and_the_files_of_a_deployment(tmp_path: Path)
 
 
 @pytest.mark.parametrize(
-    ("flash", "arch", "engine", "said"),
+    ("flash", "arch", "engine", "message"),
     [
         (program(), "armv7emsp", "pio", "is for RP2040; the board file is for RP2350"),
         (program(), "xtensawin", "rmt", "the board file is for ESP32"),
@@ -276,10 +276,10 @@ def test_a_drag_leaves_micropython_and_the_files_of_a_deployment(tmp_path: Path)
     ],
 )
 def test_a_micropython_for_another_board_is_reported(
-    flash: Flash, arch: str, engine: str, said: str
+    flash: Flash, arch: str, engine: str, message: str
 ) -> None:
     micropython_image = contents.MicroPython(Path("theirs.uf2"), flash, binary_info.about(flash))
-    with pytest.raises(Uf2Error, match=said):
+    with pytest.raises(Uf2Error, match=message):
         contents.check_fit(micropython_image, arch, engine)
 
 
@@ -308,7 +308,7 @@ def test_the_command_writes_the_file_and_says_where_to_drag_it(
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         ("--micropython nowhere.uf2", "nowhere.uf2: there is no such file"),
         ("--micropython bad.settings", "bad.settings: it is no UF2 file"),
@@ -326,9 +326,9 @@ def test_the_command_writes_the_file_and_says_where_to_drag_it(
     ],
 )
 def test_an_impossible_request_is_refused_in_one_sentence_and_writes_no_file(
-    words: str, said: str, micropython: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    words: str, message: str, micropython: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """said: part of the message. half.uf2 has only the first of its blocks."""
+    """message: part of the output. half.uf2 has only the first of its blocks."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "bad.settings").write_text("$0=1\n")
     (tmp_path / "more.settings").write_text("$110=500\n$999=1\n")
@@ -336,7 +336,7 @@ def test_an_impossible_request_is_refused_in_one_sentence_and_writes_no_file(
     (tmp_path / "bad.py").write_text("from ugrbl import mcode\n@mcode(3)\ndef f(m): pass\n")
     before = {path: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()}
     done = run(*words.split())
-    assert done.exit_code == 1 and said in done.output, done.output
+    assert done.exit_code == 1 and message in done.output, done.output
     assert "Traceback" not in done.output and not isinstance(done.exception, KeyError)
     assert {path: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()} == before
 

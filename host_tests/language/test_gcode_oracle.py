@@ -80,7 +80,7 @@ jogs = st.tuples(
 # The machine's side
 
 
-def everything(machine: Machine) -> "dict[str, Any]":
+def whole_state(machine: Machine) -> "dict[str, Any]":
     """Return all state that a refused line must not change."""
     controller: Any = machine.rig.controller
     modes, coords, planner = controller.modes, controller.coords, controller.planner
@@ -122,7 +122,7 @@ def compare(machine: Machine, oracle: Oracle, program: "list[str]", first: str) 
     match the oracle's."""
     before: dict[str, Any] = {}
 
-    def answered(line: str, replies: "list[str]") -> None:
+    def check_answer(line: str, replies: "list[str]") -> None:
         """Check the answer to a line, and that a refused line has changed nothing."""
         if line == first:
             assert replies[-1] == "ok"
@@ -131,12 +131,12 @@ def compare(machine: Machine, oracle: Oracle, program: "list[str]", first: str) 
             answer = [reply for reply in replies if not reply.startswith("[MSG:")]
             assert answer == [f"error:{expected}" if expected else "ok"], line
             if expected:
-                assert everything(machine) == before, f"{line} was refused, yet left a trace"
+                assert whole_state(machine) == before, f"{line} was refused, yet left a trace"
             check_equal(machine, oracle)
         before.clear()
-        before.update(everything(machine))
+        before.update(whole_state(machine))
 
-    machine.converse([first, *(line for line in program if line)], answered)
+    machine.converse([first, *(line for line in program if line)], check_answer)
 
 
 @some(60)
@@ -146,8 +146,8 @@ def compare(machine: Machine, oracle: Oracle, program: "list[str]", first: str) 
 @example(["G20F10", "G93G1X1F2", "G94G1X2", "G94F3", "X3"])
 @example(["G43.1Z1", "G0Z0", "G92Z0", "G10L20P0Z0", "G49", "Z0"])
 def test_random_lines_get_the_error_of_the_rules(program: "list[str]") -> None:
-    """In check mode, so that nothing moves."""
-    compare(Machine(), Oracle(), program, "$C")
+    """After $C: in check mode nothing moves."""
+    compare(Machine(), Oracle(), program, first="$C")
 
 
 @some(15)
@@ -156,7 +156,7 @@ def test_random_lines_get_the_error_of_the_rules(program: "list[str]") -> None:
 def test_random_jogs_get_the_error_of_the_rules(program: "list[str]") -> None:
     # fast, so that jogs end soon
     rates = {110 + i: 30_000.0 for i in range(3)} | {120 + i: 5000.0 for i in range(3)}
-    compare(Machine(rates), Oracle(), program, "G21")
+    compare(Machine(rates), Oracle(), program, first="G21")
 
 
 @pytest.mark.parametrize(
@@ -186,7 +186,7 @@ def test_the_oracle_gives_the_recorded_errors(line: str, code: int) -> None:
 
 # Bytes that are not lines
 
-noise = st.one_of(
+any_bytes = st.one_of(
     st.binary(max_size=60),
     st.text("GMXYZFSTNP$JIR=.-+0123456789 ()%;/~!?\x18\n\r", max_size=80).map(str.encode),
     st.lists(lines, max_size=4).map("\n".join).map(str.encode),
@@ -208,20 +208,20 @@ def play(machine: Machine, data: bytes) -> bool:
             while not machine.idle() and rig.now < deadline:
                 yield rig.ms(40)
         yield rig.ms(1500)  # after an alarm nothing is sent for half a second
-        at_rest.append(machine.idle())
+        is_idle.append(machine.idle())
 
-    at_rest: list[bool] = []
+    is_idle: list[bool] = []
     machine.run(script())
     machine.take()
-    return at_rest[0]
+    return is_idle[0]
 
 
-def answers(machine: Machine) -> int:
+def count_answers(machine: Machine) -> int:
     return sum(line == "ok" or line.startswith("error:") for line in machine.received)
 
 
 @some(40)
-@given(noise)
+@given(any_bytes)
 @example(b"$RST=*\n\x18?$$\n")
 @example(b"$RST=#\n")
 @example(b"G21G17G38.2X1F100")
@@ -232,13 +232,13 @@ def answers(machine: Machine) -> int:
 def test_random_bytes_are_answered_line_by_line(data: bytes) -> None:
     data += b"\n"
     machine = Machine()
-    at_rest = play(machine, data)
+    is_idle = play(machine, data)
     ends = sum(data.count(c) for c in (b"\n", b"\r"))
-    assert answers(machine) <= ends + 3 * data.count(b"\x18")  # startup lines answer too
+    assert count_answers(machine) <= ends + 3 * data.count(b"\x18")  # startup lines answer too
     # without the welcome at the start
     resets = sum(line.startswith("Grbl ") for line in machine.received) - 1
-    if at_rest and not resets:  # a reset discards the waiting lines
-        assert answers(machine) == ends
+    if is_idle and not resets:  # a reset discards the waiting lines
+        assert count_answers(machine) == ends
 
 
 # Beyond single precision
@@ -250,7 +250,7 @@ _HUGE = 45 * "9"
 def test_a_code_beyond_single_precision_is_answered(line: str) -> None:
     machine = Machine()
     play(machine, f"{line}{_HUGE}{'=' if line == '$N' else ''}\n".encode())
-    assert answers(machine) == 1
+    assert count_answers(machine) == 1
 
 
 @pytest.mark.parametrize("check_mode", [False, True])

@@ -18,8 +18,8 @@ from language.block_layout import MOVE
 from language.interpreter import Interpreter
 
 
-class Paper:
-    """An interpreter whose machine only records its calls, as texts, in canon.asked."""
+class RecordingInterpreter:
+    """An interpreter whose machine only records the calls it gets, as texts, in canon.asked."""
 
     def __init__(self) -> None:
         self.canon, self.voice, store = FakeCanon(), FakeVoice(), FakeStore()
@@ -44,7 +44,7 @@ class Paper:
         self.canon.asked.append("probe")
         return True
 
-    def does(self, *lines: str) -> "list[str]":
+    def calls_for(self, *lines: str) -> "list[str]":
         """Run lines without spaces; return the calls of the last one."""
         for line in lines:
             self.canon.asked.clear()
@@ -57,7 +57,7 @@ class Paper:
 
 
 @pytest.mark.parametrize(
-    ("lines", "asked"),
+    ("lines", "calls"),
     [
         (("G1X10F600",), ["line F600 10 0 0"]),
         (("G91G1X10F600", "X10"), ["line F600 20 0 0"]),
@@ -76,35 +76,35 @@ class Paper:
     ],
 )
 def test_a_line_makes_these_calls_of_the_machine(
-    lines: "tuple[str, ...]", asked: "list[str]"
+    lines: "tuple[str, ...]", calls: "list[str]"
 ) -> None:
-    """asked: the calls for the last line; feed in mm/min, positions in mm, 16 is M3."""
-    assert Paper().does(*lines) == asked
+    """calls: those for the last line; feed in mm/min, positions in mm, 16 is M3."""
+    assert RecordingInterpreter().calls_for(*lines) == calls
 
 
 def test_the_end_of_a_program_is_reported() -> None:
-    paper = Paper()
-    paper.does("M2")
-    assert paper.voice.asked == [f"message {errors.MSG_PROGRAM_END}"]
+    interpreter = RecordingInterpreter()
+    interpreter.calls_for("M2")
+    assert interpreter.voice.asked == [f"message {errors.MSG_PROGRAM_END}"]
 
 
 @pytest.mark.parametrize("line", ["G1X1", "G2X1F10", "G1X1F10M3S1M99", "G38.2F10"])
 def test_a_refused_line_makes_no_calls(line: str) -> None:
     """rates[0] is the feed: F is not taken over either."""
-    paper = Paper()
+    interpreter = RecordingInterpreter()
     with pytest.raises(GrblError):
-        paper.does(line)
-    assert paper.canon.asked == []
-    assert list(paper.modes.position) == [0, 0, 0] and paper.modes.rates[0] == 0
+        interpreter.calls_for(line)
+    assert interpreter.canon.asked == []
+    assert list(interpreter.modes.position) == [0, 0, 0] and interpreter.modes.rates[0] == 0
 
 
 def test_a_jog_beyond_the_travel_is_refused() -> None:
-    paper = Paper()
-    paper.canon.too_far = 10  # mm
-    assert paper.does("$J=X10F10") == ["jog F10 10 0 0"]
+    interpreter = RecordingInterpreter()
+    interpreter.canon.too_far = 10  # mm
+    assert interpreter.calls_for("$J=X10F10") == ["jog F10 10 0 0"]
     with pytest.raises(GrblError) as refused:
-        paper.does("$J=X11F10")
-    assert refused.value.code == errors.TRAVEL_EXCEEDED and paper.canon.asked == []
+        interpreter.calls_for("$J=X11F10")
+    assert refused.value.code == errors.TRAVEL_EXCEEDED and interpreter.canon.asked == []
 
 
 @pytest.mark.parametrize(

@@ -22,16 +22,16 @@ from ugrbl.run.program import ProgramLink
 class Bench:
     """A machine that gets lines and never moves: what it plans is inspected and discarded.
 
-    short: kernels do the lines that they can; else the interpreter does all. most, least: $30,
-    $31.
+    by_kernels: kernels do the lines that they can; else the interpreter does all. max_rpm,
+    min_rpm: $30, $31.
     """
 
     def __init__(
         self,
         laser: bool,
-        short: bool,
-        most: float = 1000.0,
-        least: float = 0.0,
+        by_kernels: bool,
+        max_rpm: float = 1000.0,
+        min_rpm: float = 0.0,
         mist: bool = False,
     ) -> None:
         rig = machine.build("sim", lambda rig: ProgramLink(rig, lambda _link: iter(())))
@@ -39,21 +39,21 @@ class Bench:
         self.machine = wiring.build(board, rig.link, rig.port, rig.engine, rig.store)
         self.machine.settings.load()
         settings = self.machine.settings
-        settings.laser_mode, settings.max_rpm, settings.min_rpm = int(laser), most, least
+        settings.laser_mode, settings.max_rpm, settings.min_rpm = int(laser), max_rpm, min_rpm
         self.machine.configure()
         self.machine.planner.override()
         self.machine.canon.service = self.machine.planner.clear  # a waiting caller finds space
         self.machine.motor_control.start = self.machine.state.enter  # type: ignore[method-assign]
-        if not short:
+        if not by_kernels:
             self.machine.interpreter.watch(MOVE)
         self.modal, self.counts, self.memory = self.machine.interpreter.memory()
 
-    def does(self, text: str, line: "bytearray | None" = None) -> int:
+    def done_by_kernels(self, text: str, line: "bytearray | None" = None) -> int:
         """Return 1 if the kernels have done the line, 0 if the interpreter must."""
         line = line or bytearray(text.encode() + b"\0")
         return ln.execute(line, len(text), self.modal, self.counts, self.memory)
 
-    def tell(self, text: str) -> "tuple[Any, ...]":
+    def effect_of(self, text: str) -> "tuple[Any, ...]":
         """Run a line; return its whole effect: error, modes, planned block, and what follows from
         them."""
         gcode, planner = self.machine.interpreter, self.machine.planner
@@ -62,7 +62,7 @@ class Bench:
         try:
             if text.startswith("$J="):
                 gcode.jog(line, len(text))
-            elif not self.does(text, line):
+            elif not self.done_by_kernels(text, line):
                 gcode.execute(line, len(text))
         except GrblError as refusal:
             fault = refusal.code
@@ -92,14 +92,18 @@ jog = st.from_regex(
     r"\$J=(G2[01]|G9[01]|G53|G1[789]?|M8|){0,2}(X-?[0-9]{0,3}\.?[0-9]?)?(Y1|Z-2\.5)?(N7|S5)?(F[0-9]{0,4})?G?",
     fullmatch=True,
 )
-other = st.sampled_from(
+other_lines = st.sampled_from(
     "G91 G90 G20 G21 G92X1.1Y-3 G92.1 F300 S500 M3S200 M4 M5 T2 G43.1Z0.3 G49 G55 G54 G10L2P2X0.7 "
     "G93 G94 G2X1Y1R5 G3X2Z1R5 G2Y1Z2R5 G80 X1X2 M7 M8 M9 M7M8 M8M9 G18 G19 G17 "
     "G91G2X0.1R5 G3X-0.01Y0.02R9 G3I0.0001".split()
 )
-tail = st.sampled_from(["", "", "", "F200", "F700", "S100", "N12", "S0", "Z1", "F0", "Z-0.0001"])
+last_words = st.sampled_from(
+    ["", "", "", "F200", "F700", "S100", "N12", "S0", "Z1", "F0", "Z-0.0001"]
+)
 program = st.lists(
-    st.one_of(*[st.tuples(repeated, simple, tail, repeated).map("".join)] * 4, other, jog),
+    st.one_of(
+        *[st.tuples(repeated, simple, last_words, repeated).map("".join)] * 4, other_lines, jog
+    ),
     min_size=4,
     max_size=25,
 )
@@ -177,8 +181,11 @@ def test_plane_words_in_every_combination(plane: str) -> None:
     compare(["F300", "G1X1", "M8", plane, *lines])
     # A jog may have no plane word, not even the current plane's.
     compare([plane, *[f"$J={word}G91X1F50" for word in PLANES], *[f"$J=X1{plane}F50"], "X1"])
-    # without a laser, by kernels; [0][0]: the error
-    assert Bench(False, True).tell(f"$J={plane}G91X1F50")[0][0] == INVALID_JOG_COMMAND
+    # [0][0]: the error
+    assert (
+        Bench(laser=False, by_kernels=True).effect_of(f"$J={plane}G91X1F50")[0][0]
+        == INVALID_JOG_COMMAND
+    )
 
 
 @pytest.mark.parametrize("mist", [True, False])
@@ -194,22 +201,25 @@ def test_coolant_words_in_every_combination(mist: bool) -> None:
 
 
 def compare(lines: "list[str]", laser: bool = False, mist: bool = False) -> None:
-    """Check that kernels (short) and interpreter (long) answer and plan the same."""
-    short, long = Bench(laser, short=True, mist=mist), Bench(laser, short=False, mist=mist)
+    """Check that kernels and interpreter answer and plan the same."""
+    by_kernels, by_interpreter = (
+        Bench(laser, by_kernels=True, mist=mist),
+        Bench(laser, by_kernels=False, mist=mist),
+    )
     for line in lines:
-        assert short.tell(line) == long.tell(line), line
+        assert by_kernels.effect_of(line) == by_interpreter.effect_of(line), line
 
 
 @pytest.mark.parametrize("override", [100, 50])
 @pytest.mark.parametrize("beam", ["M3", "M4"])
 def test_kernels_do_lines_with_a_changed_laser_power(beam: str, override: int) -> None:
     """override: of the spindle, in percent. A new S in a motion line needs no interpreter."""
-    bench = Bench(laser=True, short=True)
+    bench = Bench(laser=True, by_kernels=True)
     bench.machine.state.override_spindle(override)
     for text in (f"{beam}S100F300", "G1X1", "X2"):
-        bench.tell(text)
+        bench.effect_of(text)
     for text in ("X3S50", "X4S0", "X5S1000"):
-        assert bench.does(text)
+        assert bench.done_by_kernels(text)
     assert bench.machine.modes.rates[modal.RPM] == 1000
 
 
@@ -225,16 +235,16 @@ speeds = st.decimals(0, 13000, places=3).map(lambda x: format(x, "f"))
     st.lists(st.one_of(speeds, st.just("0")), min_size=1, max_size=6),
 )
 def test_kernels_set_the_same_laser_power_as_the_spindle(
-    most: float, least: float, override: int, is_dynamic: bool, powers: "list[str]"
+    max_rpm: float, min_rpm: float, override: int, is_dynamic: bool, powers: "list[str]"
 ) -> None:
     """The power in the planned block is that of Spindle.block_power(). is_dynamic: M4."""
-    bench = Bench(laser=True, short=True, most=most, least=least)
+    bench = Bench(laser=True, by_kernels=True, max_rpm=max_rpm, min_rpm=min_rpm)
     machine, planner = bench.machine, bench.machine.planner
     machine.state.override_spindle(override)
     for text in (f"{'M4' if is_dynamic else 'M3'}S1F300", "G1X1", "X2"):
-        bench.tell(text)
+        bench.effect_of(text)
     for i, power in enumerate(powers):
-        assert bench.does(f"X{3 + i}S{power}")
+        assert bench.done_by_kernels(f"X{3 + i}S{power}")
         row, speed_before = list(planner.row() or ()), machine.state.spindle[RPM]
         rpm = machine.modes.rates[modal.RPM]
         assert rpm == pytest.approx(float(power), rel=1e-6)
@@ -246,40 +256,40 @@ def test_kernels_set_the_same_laser_power_as_the_spindle(
 
 
 def test_kernels_do_lines_that_need_no_wait() -> None:
-    bench = Bench(laser=False, short=True)
+    bench = Bench(laser=False, by_kernels=True)
     for text in ("G1X1F500", "X2", "X3Y1N5", "X4F501", "G0X5", "G1X7F502", "T1", ""):
-        assert bench.does(text), text
+        assert bench.done_by_kernels(text), text
     for text in ("G90G21X9", "G90G94", "M5M9", "G91X1", "G20G90", "G21", "G18", "G19X7G91", "S9"):
-        assert bench.does(text), text
+        assert bench.done_by_kernels(text), text
     assert bench.machine.modes.rates[modal.FEED] == 502  # of F502, the last F
 
 
 def test_kernels_do_an_arc_of_a_single_chord() -> None:
-    bench = Bench(laser=False, short=True)
-    bench.tell("G91F500")
+    bench = Bench(laser=False, by_kernels=True)
+    bench.effect_of("G91F500")
     for text in ("G2X0.1R5", "X0.1R5N3", "G3X-0.2Y0.1R900", "G2X0.1I0.05J-5F501"):
-        assert bench.does(text), text
+        assert bench.done_by_kernels(text), text
     for text in ("X1R5", "I0.5", "G93X0.1R5F3", "X0.1R0.04"):  # more chords, or errors
-        assert not bench.does(text), text
+        assert not bench.done_by_kernels(text), text
 
 
 def test_kernels_do_any_arc_in_check_mode_without_soft_limits() -> None:
     """Without soft limits no chord needs a check; with them the interpreter checks each."""
-    bench = Bench(laser=False, short=True)
+    bench = Bench(laser=False, by_kernels=True)
     bench.machine.state.enter(CHECK)
-    assert bench.does("G2X100R90F500") and bench.does("G3X100I50Z3")
+    assert bench.done_by_kernels("G2X100R90F500") and bench.done_by_kernels("G3X100I50Z3")
     bench.machine.settings.soft_limits = 1
     bench.machine.canon.configure()
-    assert not bench.does("I-5")
+    assert not bench.done_by_kernels("I-5")
 
 
 def test_kernels_refuse_lines_that_wait_or_fail_and_change_nothing() -> None:
-    bench = Bench(laser=False, short=True)
-    bench.tell("G1X1F500")
+    bench = Bench(laser=False, by_kernels=True)
+    bench.effect_of("G1X1F500")
     before = list(bench.machine.modes.modal), list(bench.machine.modes.position)
     left_to_interpreter = (
         "M3 G55 M8 M7 G4P1 G92X0 G28 M0 G2X2R5 X1X2 G18G19 G91G20X0Y1X2 S-1 Q1".split()
     )
     for text in left_to_interpreter:
-        assert not bench.does(text), text
+        assert not bench.done_by_kernels(text), text
         assert (list(bench.machine.modes.modal), list(bench.machine.modes.position)) == before

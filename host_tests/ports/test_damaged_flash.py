@@ -19,11 +19,11 @@ from byte_bench import (
     Bench,
     Dice,
     damages,
-    fill,
-    furnish,
-    kept_in,
+    flash_files,
     start_damaged,
     start_with_damaged_custom,
+    store_under_all_names,
+    write_initial_files,
 )
 from micropython_runner import needs_micropython, run_micropython
 from ports.storage.flash_store import FlashStore
@@ -43,7 +43,7 @@ def filled(tmp_path_factory: pytest.TempPathFactory) -> Path:
     complete()
     here = Path.cwd()
     folder = tmp_path_factory.mktemp("damage") / "board"
-    fill(str(folder))
+    store_under_all_names(str(folder))
     os.chdir(here)
     return folder
 
@@ -57,14 +57,14 @@ def test_a_machine_starts_with_the_older_copy_of_any_damaged_file(
     monkeypatch.chdir(tmp_path)
     folder = tmp_path / "board"
     shutil.copytree(filled, folder)
-    start_damaged(str(folder), kept_in(str(folder)), name, Dice(1), None if _EVERY else 1)
+    start_damaged(str(folder), flash_files(str(folder)), name, Dice(1), None if _EVERY else 1)
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_damage_is_always_detected(name: str, filled: Path, tmp_path: Path) -> None:
     """Whatever is damaged in the newest file, the store returns the lines of the older copy and
     notes that one was there."""
-    files = kept_in(str(filled))
+    files = flash_files(str(filled))
     newest, old = files[f"{name}.txt"], files[f"{name}.old"]
     (tmp_path / f"{name}.old").write_bytes(old)
     for damaged_file in damages(newest, Dice(2), None if _EVERY else 100):
@@ -80,7 +80,7 @@ def test_damage_is_always_detected(name: str, filled: Path, tmp_path: Path) -> N
 @pytest.mark.parametrize("kind", [".old", ".new"])
 def test_damage_to_unused_copies_does_nothing(kind: str, filled: Path, tmp_path: Path) -> None:
     """With a valid .txt, the .old and .new files are not used."""
-    files = kept_in(str(filled))
+    files = flash_files(str(filled))
     (tmp_path / "settings.txt").write_bytes(files["settings.txt"])
     undamaged = FlashStore(f"{tmp_path}/").load("settings")
     for damaged_file in damages(files["settings.old"], Dice(3), 20):
@@ -129,7 +129,7 @@ def test_the_machine_works_with_a_damaged_custom_py(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sys.dont_write_bytecode", True)  # or the older bytecode would run
     folder = str(tmp_path / "board")
-    furnish(folder)
+    write_initial_files(folder)
     # Dice(4): its random numbers; flips: how many bits are flipped, and how many cuts are tried.
     start_with_damaged_custom(folder, Dice(4), flips=6)
 

@@ -70,18 +70,18 @@ def job() -> rehearsal.Job:
     return rehearsal.Job([line.encode() for line in _PROGRAM], ["$10=1"], "../my.py")
 
 
-def rehearsed() -> None:
+def rehearse_here() -> None:
     result, _ = rehearsal.rehearse(job())
     assert result.lines > 20, result
 
 
-def rehearsed_elsewhere() -> None:
+def rehearse_in_process() -> None:
     running = rehearsal.Rehearsal(job())
     assert running.wait()
     running.close()
 
 
-LOOKS: dict[str, Callable[[], object]] = {
+COMMANDS: dict[str, Callable[[], object]] = {
     "run": lambda: ugrbl("run", "../part.nc"),
     "run --check": lambda: ugrbl("run", "../part.nc", "--check"),
     "run --plot": lambda: ugrbl("run", "../part.nc", "--plot", "../out.html"),
@@ -89,13 +89,13 @@ LOOKS: dict[str, Callable[[], object]] = {
     "plot": lambda: ugrbl("plot", "../part.nc", "-o", "../out.svg"),
     "custom check": lambda: ugrbl("custom", "check", "../mine.py"),
     "send's check": lambda: rehearsal.check(job()),
-    "send's rehearsal": rehearsed,
-    "send's rehearsal in a process of its own": rehearsed_elsewhere,
+    "send's rehearsal": rehearse_here,
+    "send's rehearsal in a process of its own": rehearse_in_process,
     "the page's preview": lambda: preview({"name": "a.nc", "program": _TEXT}, "../my.py"),
 }
 
 
-@pytest.mark.parametrize("command", LOOKS.values(), ids=LOOKS)
+@pytest.mark.parametrize("command", COMMANDS.values(), ids=COMMANDS)
 def test_a_check_or_preview_changes_no_file(folder: Path, command: Callable[[], object]) -> None:
     before = list(files(folder))
     command()

@@ -27,7 +27,7 @@ SPEED = (Path(__file__).parents[2] / "docs" / "speed.md").read_text(encoding="ut
 FAST = [f"${n + axis}={v}" for n, v in ((110, 30_000), (120, 5000)) for axis in range(3)]
 LASER = [*FAST, "$32=1", "$30=1000"]
 FEED = 15_000
-ASKED = 2500  # dots per second, at that feed
+NEEDED_LINES_S = 2500  # dots per second, at that feed
 DOTS = 800  # per row
 
 
@@ -55,10 +55,10 @@ def test_a_raster_faster_than_the_board_is_reported_with_its_lines() -> None:
     percent."""
     (worst,) = stretches(raster(FEED), LASER, "rpi_pico2")
     assert worst.kind == "power" and worst.taken == pytest.approx(PICO.power, rel=0.01)
-    assert worst.needed == pytest.approx(ASKED, rel=0.05)
+    assert worst.needed == pytest.approx(NEEDED_LINES_S, rel=0.05)
     # it begins after the planner's blocks have run out
     assert DOTS >= worst.last > worst.first > 20 and worst.last - worst.first > 300
-    assert worst.feed == pytest.approx(100 * PICO.power / ASKED, abs=3)  # percent
+    assert worst.feed == pytest.approx(100 * PICO.power / NEEDED_LINES_S, abs=3)  # percent
 
 
 def test_each_row_of_a_raster_is_reported() -> None:
@@ -251,11 +251,11 @@ def test_run_reports_that_all_lines_are_in_time(tmp_path: Path) -> None:
 # The rates
 
 
-def cached(row: str, which: int = 0) -> float:
+def documented_figure(row: str, index: int = 0) -> float:
     """Return a number of the row of docs/speed.md that begins so, in the column with the cache;
     which: 0 for its first number."""
     (line,) = [line for line in SPEED.splitlines() if line.startswith(f"| {row}")]
-    return float(re.findall(r"[\d.,]+", line.split("|")[3])[which].rstrip(",").replace(",", ""))
+    return float(re.findall(r"[\d.,]+", line.split("|")[3])[index].rstrip(",").replace(",", ""))
 
 
 @pytest.mark.parametrize(
@@ -267,11 +267,11 @@ def cached(row: str, which: int = 0) -> float:
     ],
 )
 def test_rates_match_the_document(figure: float, row: str) -> None:
-    assert figure == cached(row)
+    assert figure == documented_figure(row)
 
 
 def test_time_of_a_python_line_is_an_arc_of_two_chords_minus_its_chords() -> None:
-    arc_ms = cached("an arc of one chord, and of two", 1)
+    arc_ms = documented_figure("an arc of one chord, and of two", 1)
     # two chords, in ms
     assert PICO.in_python_ms == pytest.approx(arc_ms - 2000 / PICO.chords, abs=0.05)
 

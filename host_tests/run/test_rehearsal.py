@@ -26,7 +26,7 @@ REPLIES = [
 
 
 @pytest.fixture
-def here() -> machine_snapshot.MachineSnapshot:
+def snapshot() -> machine_snapshot.MachineSnapshot:
     """Return the state of a machine that is at X-20 Y-20 Z-5 in machine coordinates."""
     snapshot = machine_snapshot.read(REPLIES)
     snapshot.place = [-20.0, -20.0, -5.0]
@@ -38,11 +38,11 @@ def job(lines: list[str], commands: list[str], **options: Any) -> Job:
 
 
 def forecast(
-    here: machine_snapshot.MachineSnapshot, lines: list[str], report_state_before_line: int = 0
+    snapshot: machine_snapshot.MachineSnapshot, lines: list[str], report_state_before_line: int = 0
 ) -> Forecast:
     """Rehearse lines on a simulator with this state, without an error; return the forecast."""
     result, made = rehearse(
-        job(lines, here.commands(), report_state_before_line=report_state_before_line)
+        job(lines, snapshot.commands(), report_state_before_line=report_state_before_line)
     )
     assert not result.errors and not result.stopped, result
     return made
@@ -52,51 +52,51 @@ def forecast(
 
 
 def test_the_simulator_starts_with_the_machines_state(
-    here: machine_snapshot.MachineSnapshot,
+    snapshot: machine_snapshot.MachineSnapshot,
 ) -> None:
-    found = forecast(here, ["G0 X0", "G91 Y-1"], report_state_before_line=1)
-    assert found.start == [-20.0, -20.0, -5.0]
+    predicted = forecast(snapshot, ["G0 X0", "G91 Y-1"], report_state_before_line=1)
+    assert predicted.start == [-20.0, -20.0, -5.0]
     # X0: G54 and G92, -50 + 1. Then 1 inch down from Y-20.
     ends_mm = [-49.0, -20.0, -5.0, -49.0, -45.4, -5.0]  # two blocks: X, Y, Z each
-    assert list(found.block_ends) == pytest.approx(ends_mm, abs=1e-4)
-    before_line = machine_snapshot.read(found.at_line)
+    assert list(predicted.block_ends) == pytest.approx(ends_mm, abs=1e-4)
+    before_line = machine_snapshot.read(predicted.at_line)
     assert before_line.offsets["G92"] == [1.0, 0.0, 0.0] and before_line.tool_length() == 2.0
     assert "G20" in before_line.modes and before_line.word("F") == 254
 
 
-def test_offsets_in_inches_are_converted(here: machine_snapshot.MachineSnapshot) -> None:
+def test_offsets_in_inches_are_converted(snapshot: machine_snapshot.MachineSnapshot) -> None:
     """With $13=1 the machine reports inches; offsets and feed of the snapshot are in mm."""
     inches = machine_snapshot.read(["$13=1", "[G54:1.0000,2.0000,0.0000]", "[GC:G0 G54 F10]"])
     assert inches.offsets["G54"] == [25.4, 50.8, 0.0] and inches.feed_mm_min() == 254
 
 
 def test_soft_limits_use_the_machines_position(
-    here: machine_snapshot.MachineSnapshot,
+    snapshot: machine_snapshot.MachineSnapshot,
 ) -> None:
     # G54 is -50: X-40 is -90 + 1, within the travel of 100; X-60 is not
     lines = ["G21", "G0 X-40", "X-60"]
-    result, line = check(job(lines, here.commands()))
+    result, line = check(job(lines, snapshot.commands()))
     assert (result.stopped, line) == ("ALARM:2", 3)
 
 
 def test_commands_for_an_idle_machine_are_no_errors(
-    here: machine_snapshot.MachineSnapshot,
+    snapshot: machine_snapshot.MachineSnapshot,
 ) -> None:
     """$H and $10 are accepted; only line 4, T1 M6, is an error, because M6 is unknown."""
-    result, _ = check(job(["$H", "$10=3", "G0 X0", "T1 M6"], here.commands()))
+    result, _ = check(job(["$H", "$10=3", "G0 X0", "T1 M6"], snapshot.commands()))
     assert result.errors == [(4, "error:20")]
 
 
 def test_a_machine_of_four_axes_is_rehearsed_with_four() -> None:
     of_a = [(base, 3, value) for base, value in ((100, 250), (110, 3000), (120, 300), (130, 100))]
     settings = [*MACHINE, *(f"${base + axis}={value}.000" for base, axis, value in of_a)]
-    here = machine_snapshot.read([*settings, "[G54:-50.000,-40.000,-30.000,-20.000]"])
-    here.place = [-20.0, -20.0, -5.0, -60.0]
-    job_of_four = job(["G21", "G0 A-10", "G0 A-79", "G0 A-81"], here.commands(), axes=4)
+    snapshot = machine_snapshot.read([*settings, "[G54:-50.000,-40.000,-30.000,-20.000]"])
+    snapshot.place = [-20.0, -20.0, -5.0, -60.0]
+    job_of_four = job(["G21", "G0 A-10", "G0 A-79", "G0 A-81"], snapshot.commands(), axes=4)
     # offset -20, travel 100: A-79 is the last in reach
     result, line = check(job_of_four)
     assert not result.errors and (result.stopped, line) == ("ALARM:2", 4)
-    job_of_three = job(["G0 A-10"], here.commands())
+    job_of_three = job(["G0 A-10"], snapshot.commands())
     assert check(job_of_three)[0].errors == [(1, "error:20")]  # no axis A
 
 
@@ -121,57 +121,57 @@ def test_each_line_of_many_has_its_own_block() -> None:
     ]
 
 
-def test_a_line_is_found_by_its_position(here: machine_snapshot.MachineSnapshot) -> None:
+def test_a_line_is_found_by_its_position(snapshot: machine_snapshot.MachineSnapshot) -> None:
     """The machine stopped there after 8 answers; its planner has 15 blocks, and reports no number
     of them."""
-    found = forecast(here, ["G21 G91 F1000", *(f"G1 X-{n}" for n in range(1, 9))])
+    predicted = forecast(snapshot, ["G21 G91 F1000", *(f"G1 X-{n}" for n in range(1, 9))])
     x = -20.0 - 1 - 2 - 1.5  # in the middle of X-3, line 4
-    assert found.line_at(8, [x, -20.0, -5.0], planned=15, left=None) == 4
+    assert predicted.line_at(8, [x, -20.0, -5.0], planned=15, left=None) == 4
 
 
 def test_of_several_lines_at_a_position_the_earlier_is_chosen(
-    here: machine_snapshot.MachineSnapshot,
+    snapshot: machine_snapshot.MachineSnapshot,
 ) -> None:
     """Lines 2, 6 and 10 all pass X-19.5: it is better to repeat a part than to leave one out."""
-    found = forecast(here, squares(3))
-    assert found.line_at(13, [-19.5, -20.0, -5.0], planned=15, left=None) == 2
+    predicted = forecast(snapshot, squares(3))
+    assert predicted.line_at(13, [-19.5, -20.0, -5.0], planned=15, left=None) == 2
     # A planner of 6 blocks: lines before the last 7 blocks are done.
-    assert found.line_at(13, [-19.5, -20.0, -5.0], planned=6, left=None) == 10
+    assert predicted.line_at(13, [-19.5, -20.0, -5.0], planned=6, left=None) == 10
 
 
 def test_a_line_is_found_by_the_number_of_waiting_blocks(
-    here: machine_snapshot.MachineSnapshot,
+    snapshot: machine_snapshot.MachineSnapshot,
 ) -> None:
     """Line 13 is answered; with 3 blocks left in the planner, line 11 is being executed."""
-    found = forecast(here, squares(3))
-    assert found.line_at(13, [0.0, 0.0, 0.0], planned=15, left=3) == 11
-    assert found.line_at(13, [0.0, 0.0, 0.0], planned=15, left=0) == 13
+    predicted = forecast(snapshot, squares(3))
+    assert predicted.line_at(13, [0.0, 0.0, 0.0], planned=15, left=3) == 11
+    assert predicted.line_at(13, [0.0, 0.0, 0.0], planned=15, left=0) == 13
 
 
-def test_a_position_off_the_path_is_no_line(here: machine_snapshot.MachineSnapshot) -> None:
-    assert forecast(here, squares(1)).line_at(5, [-90.0, 0.0, 0.0], 15, None) is None
+def test_a_position_off_the_path_is_no_line(snapshot: machine_snapshot.MachineSnapshot) -> None:
+    assert forecast(snapshot, squares(1)).line_at(5, [-90.0, 0.0, 0.0], 15, None) is None
 
 
-def test_an_arc_is_one_line(here: machine_snapshot.MachineSnapshot) -> None:
-    found = forecast(here, ["G21 G91 F1000", "G1 X5", "G2 X0 Y0 I5", "G1 X-1"])
-    assert set(found.block_line) == {2, 3, 4} and found.block_line.count(3) > 20
+def test_an_arc_is_one_line(snapshot: machine_snapshot.MachineSnapshot) -> None:
+    predicted = forecast(snapshot, ["G21 G91 F1000", "G1 X5", "G2 X0 Y0 I5", "G1 X-1"])
+    assert set(predicted.block_line) == {2, 3, 4} and predicted.block_line.count(3) > 20
     on_arc = [-10.0, -15.0, -5.0]
     # The arc is in motion, and not yet answered.
-    assert found.line_at(2, on_arc, planned=15, left=None) == 3
+    assert predicted.line_at(2, on_arc, planned=15, left=None) == 3
 
 
-def test_time_left_falls_from_line_to_line(here: machine_snapshot.MachineSnapshot) -> None:
+def test_time_left_falls_from_line_to_line(snapshot: machine_snapshot.MachineSnapshot) -> None:
     """seconds_left(n): from the answer to line n until the end of the program."""
-    found = forecast(here, ["G21 G91 F600", *["G1 X-1"] * 40])  # 40 mm at 10 mm/s
-    left_s = [found.seconds_left(n) or 0 for n in range(42)]
+    predicted = forecast(snapshot, ["G21 G91 F600", *["G1 X-1"] * 40])  # 40 mm at 10 mm/s
+    left_s = [predicted.seconds_left(n) or 0 for n in range(42)]
     assert 4.0 < left_s[0] < 4.5 and left_s == sorted(left_s, reverse=True)
     assert 1.0 < left_s[41] < 2.0  # moves still in the planner at the last answer
 
 
 def test_a_rehearsal_in_a_separate_process_gives_the_same_result(
-    here: machine_snapshot.MachineSnapshot,
+    snapshot: machine_snapshot.MachineSnapshot,
 ) -> None:
-    made = job(squares(5), here.commands(), report_state_before_line=3)
+    made = job(squares(5), snapshot.commands(), report_state_before_line=3)
     running = Rehearsal(made)
     assert running.wait() == rehearse(made)[1]
     running.close()
@@ -193,21 +193,21 @@ PART = [
 ]
 
 
-def way(
-    here: machine_snapshot.MachineSnapshot, number: int, lines: list[bytes] = PART
+def entry_lines(
+    snapshot: machine_snapshot.MachineSnapshot, number: int, lines: list[bytes] = PART
 ) -> list[str]:
     """Return the lines of the entry at line `number`."""
-    made = forecast(here, [line.decode() for line in lines], report_state_before_line=number)
-    return [line.text for line in approach(lines, number, made, here).lines]
+    made = forecast(snapshot, [line.decode() for line in lines], report_state_before_line=number)
+    return [line.text for line in approach(lines, number, made, snapshot).lines]
 
 
 def test_the_entry_rises_crosses_and_descends_at_feed(
-    here: machine_snapshot.MachineSnapshot,
+    snapshot: machine_snapshot.MachineSnapshot,
 ) -> None:
     """Rise to the safe height, start the spindle, cross to X5 Y5, descend, and set the modes of
     line 5. G54 is at -50, -40, -30 and G92 is set again."""
-    here.place[2] = -25.0
-    assert way(here, 6) == [
+    snapshot.place[2] = -25.0
+    assert entry_lines(snapshot, 6) == [
         "G21 G90 G94 M5",
         "G53 G0 Z-18.000",
         "M3 S8000",
@@ -222,99 +222,101 @@ def test_the_entry_rises_crosses_and_descends_at_feed(
 
 
 def test_the_entry_is_the_same_for_a_machine_that_reports_inches(
-    here: machine_snapshot.MachineSnapshot,
+    snapshot: machine_snapshot.MachineSnapshot,
 ) -> None:
-    in_mm = way(here, 6)
-    here.settings[13] = "1"
-    here.modes = ["F10" if word[0] == "F" else word for word in here.modes]
-    assert way(here, 6) == in_mm
+    in_mm = entry_lines(snapshot, 6)
+    snapshot.settings[13] = "1"
+    snapshot.modes = ["F10" if word[0] == "F" else word for word in snapshot.modes]
+    assert entry_lines(snapshot, 6) == in_mm
 
 
 def test_a_laser_is_switched_on_only_at_the_entry_point(
-    here: machine_snapshot.MachineSnapshot,
+    snapshot: machine_snapshot.MachineSnapshot,
 ) -> None:
     """Line 6 of PART has no G1 of its own, so the beam would have to be on before it: refused.
     Line 7 has a G2."""
-    here.settings[32] = "1"  # laser mode
+    snapshot.settings[32] = "1"  # laser mode
     with pytest.raises(CannotEnter, match="line 6 continues G1"):
-        way(here, 6)
-    lines = way(here, 7)
+        entry_lines(snapshot, 6)
+    lines = entry_lines(snapshot, 7)
     assert lines.index("G0 M3 S8000") > lines.index("G53 G1 Z-29.000 F300")
     assert "G4 P4" not in lines  # no delay for a spindle
 
 
-def test_entry_at_a_continued_arc_is_refused(here: machine_snapshot.MachineSnapshot) -> None:
+def test_entry_at_a_continued_arc_is_refused(snapshot: machine_snapshot.MachineSnapshot) -> None:
     with pytest.raises(CannotEnter, match="line 8 continues G2"):
-        way(here, 8)
-    assert way(here, 7)[-1].startswith("G1 ")
+        entry_lines(snapshot, 8)
+    assert entry_lines(snapshot, 7)[-1].startswith("G1 ")
 
 
 def test_entry_at_a_continued_drilling_cycle_is_refused(
-    here: machine_snapshot.MachineSnapshot,
+    snapshot: machine_snapshot.MachineSnapshot,
 ) -> None:
     """The forecast is of lines without the cycle, which the simulated board does not have."""
     lines = [b"G21 G90", b"G0 Z10", b"G99 G81 X5 Y5 Z-2 R2 F100", b"X10", b"G80", b"G0 X20"]
-    found = forecast(here, ["G21 G90", "G0 Z10", "G0 X5", "X10"], report_state_before_line=4)
+    predicted = forecast(
+        snapshot, ["G21 G90", "G0 Z10", "G0 X5", "X10"], report_state_before_line=4
+    )
     with pytest.raises(CannotEnter, match="line 4 continues the drilling cycle of line 3"):
-        approach(lines, 4, found, here)
-    assert approach(lines, 6, found, here).lines
+        approach(lines, 4, predicted, snapshot)
+    assert approach(lines, 6, predicted, snapshot).lines
 
 
 def test_conditions_that_only_the_user_knows_are_reported(
-    here: machine_snapshot.MachineSnapshot,
+    snapshot: machine_snapshot.MachineSnapshot,
 ) -> None:
     """cautions: a text each for relative moves, a changed origin and a tool, before the entry."""
     lines = [b"G91", b"G10 L2 P2 X1", b"G92 X0", *PART]
-    found = forecast(here, [line.decode() for line in lines], report_state_before_line=9)
-    moves, origin, tool = approach(lines, 9, found, here).cautions
+    predicted = forecast(snapshot, [line.decode() for line in lines], report_state_before_line=9)
+    moves, origin, tool = approach(lines, 9, predicted, snapshot).cautions
     assert "line 1 moves relatively" in moves and "line 3 sets the origin" in origin
     assert "line 5 names a tool" in tool
 
 
 def test_the_entry_stores_offsets_written_by_earlier_lines(
-    here: machine_snapshot.MachineSnapshot,
+    snapshot: machine_snapshot.MachineSnapshot,
 ) -> None:
     """The machine has executed line 4 already: entry at line 3 stores the offsets of line 2
     again."""
     lines = [b"G21 G90 G55", b"G10 L2 P2 X-9 Y-9 Z-9", b"G0 X0", b"G10 L2 P2 X-8", b"G0 X-1"]
-    here.offsets["G55"] = [-8.0, -9.0, -9.0]  # the program has run to there
-    assert "G10 L2 P2 X-9.000 Y-9.000 Z-9.000" in way(here, 3, lines)
-    assert not any("G10" in line for line in way(here, 5, lines))
-    found = forecast(here, [line.decode() for line in lines], report_state_before_line=3)
-    assert "line 4 stores offsets" in approach(lines, 3, found, here).cautions[-1]
+    snapshot.offsets["G55"] = [-8.0, -9.0, -9.0]  # the program has run to there
+    assert "G10 L2 P2 X-9.000 Y-9.000 Z-9.000" in entry_lines(snapshot, 3, lines)
+    assert not any("G10" in line for line in entry_lines(snapshot, 5, lines))
+    predicted = forecast(snapshot, [line.decode() for line in lines], report_state_before_line=3)
+    assert "line 4 stores offsets" in approach(lines, 3, predicted, snapshot).cautions[-1]
 
 
 def test_entry_after_a_changed_stored_position_is_refused(
-    here: machine_snapshot.MachineSnapshot,
+    snapshot: machine_snapshot.MachineSnapshot,
 ) -> None:
     """G28.1 in line 3 stores X-7 Y-7 Z-7: the machine must have that position for G28."""
     lines = [b"G21 G90", b"G53 G0 X-7 Y-7 Z-7", b"G28.1", b"G0 X1", b"G28"]
     with pytest.raises(CannotEnter, match="another position for G28"):
-        way(here, 4, lines)
-    here.offsets["G28"] = [-7.0, -7.0, -7.0]
-    assert way(here, 4, lines)
+        entry_lines(snapshot, 4, lines)
+    snapshot.offsets["G28"] = [-7.0, -7.0, -7.0]
+    assert entry_lines(snapshot, 4, lines)
 
 
 def test_entry_after_a_changed_setting_is_refused(
-    here: machine_snapshot.MachineSnapshot,
+    snapshot: machine_snapshot.MachineSnapshot,
 ) -> None:
     """The program sets $30 before the entry: the machine must have that value already."""
     lines = [b"$30=500", b"G21 G90", b"G0 X1"]
-    here.settings[30] = "1000"
+    snapshot.settings[30] = "1000"
     with pytest.raises(CannotEnter, match=r"line 1 sets \$30, which is 1000 now"):
-        way(here, 3, lines)
-    here.settings[30] = "500"
-    assert way(here, 3, lines)
+        entry_lines(snapshot, 3, lines)
+    snapshot.settings[30] = "500"
+    assert entry_lines(snapshot, 3, lines)
 
 
 def test_entry_after_a_line_that_cannot_be_simulated_is_refused(
-    here: machine_snapshot.MachineSnapshot,
+    snapshot: machine_snapshot.MachineSnapshot,
 ) -> None:
     """The simulator has no object to touch: the probe ends in an alarm."""
     lines = ["G21", "G38.2 Z-30 F100", "G0 X1"]
-    _, found = rehearse(job(lines, here.commands(), report_state_before_line=3))
+    _, predicted = rehearse(job(lines, snapshot.commands(), report_state_before_line=3))
     with pytest.raises(CannotEnter, match="ALARM"):
-        approach([line.encode() for line in lines], 3, found, here)
+        approach([line.encode() for line in lines], 3, predicted, snapshot)
 
 
 # The machine's own Python
@@ -335,12 +337,12 @@ def late(m):
 """
 
 
-def own(
-    here: machine_snapshot.MachineSnapshot, folder: Path, lines: list[str], *inputs: str
+def job_with_custom(
+    snapshot: machine_snapshot.MachineSnapshot, folder: Path, lines: list[str], *inputs: str
 ) -> Job:
     """Return a job with the custom module OWN; inputs: as for --input, e.g. "probe=Z-12"."""
     (folder / "mine.py").write_text(OWN)
-    commands = here.commands()
+    commands = snapshot.commands()
     return job(
         lines,
         commands,
@@ -351,43 +353,43 @@ def own(
 
 
 def test_a_custom_probe_ends_at_the_contact(
-    here: machine_snapshot.MachineSnapshot, tmp_path: Path
+    snapshot: machine_snapshot.MachineSnapshot, tmp_path: Path
 ) -> None:
-    _, found = rehearse(own(here, tmp_path, ["M100 P1", "G21"], "probe=Z-12"))
-    assert not found.refused and not found.stopped
+    _, predicted = rehearse(job_with_custom(snapshot, tmp_path, ["M100 P1", "G21"], "probe=Z-12"))
+    assert not predicted.refused and not predicted.stopped
     # the contact at Z-12, and the way to brake
-    assert -13 < found.at_place[2] < -12 and found.outputs_on == ["vacuum"]
-    assert found.own == "M100, M101"
+    assert -13 < predicted.at_place[2] < -12 and predicted.outputs_on == ["vacuum"]
+    assert predicted.own == "M100, M101"
 
 
 def test_output_of_a_handler_does_not_disturb_the_forecast(
-    here: machine_snapshot.MachineSnapshot, tmp_path: Path
+    snapshot: machine_snapshot.MachineSnapshot, tmp_path: Path
 ) -> None:
     """The process of the rehearsal writes its forecast to stdout, where the handler prints, too.
     G64 is refused."""
-    running = Rehearsal(own(here, tmp_path, ["M100 P0", "G64"], "probe=Z-12"))
+    running = Rehearsal(job_with_custom(snapshot, tmp_path, ["M100 P0", "G64"], "probe=Z-12"))
     made = running.wait()
     running.close()
     assert made and made.refused == [2]
 
 
 def test_an_endless_wait_stops_the_rehearsal_with_a_message(
-    here: machine_snapshot.MachineSnapshot, tmp_path: Path
+    snapshot: machine_snapshot.MachineSnapshot, tmp_path: Path
 ) -> None:
     """wait_for("part") would wait for ever; the message names the option that sets the input."""
-    _, found = rehearse(own(here, tmp_path, ["M101", "G0 X1"]))
-    assert "--input part=on" in found.stopped
+    _, predicted = rehearse(job_with_custom(snapshot, tmp_path, ["M101", "G0 X1"]))
+    assert "--input part=on" in predicted.stopped
 
 
 def test_broken_python_stops_the_rehearsal_with_a_message(
-    here: machine_snapshot.MachineSnapshot, tmp_path: Path
+    snapshot: machine_snapshot.MachineSnapshot, tmp_path: Path
 ) -> None:
-    made = own(here, tmp_path, ["M101"])
+    made = job_with_custom(snapshot, tmp_path, ["M101"])
     (tmp_path / "mine.py").write_text("1 / 0")
     running = Rehearsal(made)
-    found = running.wait()
+    predicted = running.wait()
     running.close()
-    assert found and "ZeroDivisionError" in found.stopped
+    assert predicted and "ZeroDivisionError" in predicted.stopped
 
 
 # Custom words listed by $I

@@ -73,7 +73,7 @@ class Day:
         self.wait_mark = WAIT
         self.result = {"unparsed": [], "errors": [], "override": [], "states": []}
 
-    def log(self):
+    def collect_log(self):
         """Empty the log that its terminal would show."""
         while not self.sender.log.empty():
             kind, text = self.sender.log.get()
@@ -90,16 +90,16 @@ class Day:
         end = time.monotonic() + _PATIENCE_S
         while not condition():
             if time.monotonic() > end:
-                raise RuntimeError(f"never {what}: {self.vars['state']}, {self.place('m')}")
-            self.log()
+                raise RuntimeError(f"never {what}: {self.vars['state']}, {self.position('m')}")
+            self.collect_log()
             time.sleep(0.02)
-        self.log()
+        self.collect_log()
 
-    def place(self, kind):
+    def position(self, kind):
         return [float(self.vars[kind + axis]) for axis in "xyz"]
 
-    def at(self, expected):
-        near = all(abs(a - b) < 0.005 for a, b in zip(self.place("m"), expected))
+    def is_idle_at(self, expected):
+        near = all(abs(a - b) < 0.005 for a, b in zip(self.position("m"), expected))
         return self.vars["state"] == "Idle" and near and self.sender.queue.empty()
 
     def run(self):
@@ -116,7 +116,7 @@ class Day:
         sender._runLines = count
         sender.queue.put((self.wait_mark,))
 
-    def live(self):
+    def run_day(self):
         sender, plan, result, values = self.sender, self.plan, self.result, self.vars
         sender.open(plan["port"], 115200)
         self.until("locked", lambda: values["state"] == "Alarm")
@@ -131,13 +131,13 @@ class Day:
             name[5:]: value for name, value in values.items() if name.startswith("grbl_")
         }
         sender.home()
-        self.until("homed", lambda: self.at(plan["homed"]))
-        result["homed"] = self.place("m")
+        self.until("homed", lambda: self.is_idle_at(plan["homed"]))
+        result["homed"] = self.position("m")
         sender.mcontrol.jog("X-10Y-20")
-        self.until("jogged", lambda: self.at(plan["jogged"]))
+        self.until("jogged", lambda: self.is_idle_at(plan["jogged"]))
         sender.mcontrol._wcsSet(0, 0, 0)
-        self.until("zeroed", lambda: not any(self.place("w")))
-        result["zeroed"] = self.place("w")
+        self.until("zeroed", lambda: not any(self.position("w")))
+        result["zeroed"] = self.position("w")
 
         self.run()
         self.until("running", lambda: values["state"] == "Run")
@@ -147,16 +147,18 @@ class Day:
             self.until("overridden", lambda percent=percent: values["OvFeed"] == percent)
         sender.feedHold()
         self.until("held", lambda: values["state"] == "Hold:0")
-        result["held"] = self.place("m")
+        result["held"] = self.position("m")
         sender.resume()
         self.until("resumed", lambda: values["state"] == "Run")
-        self.until("done", lambda: sender._gcount >= sender._runLines and self.at(plan["ended"]))
+        self.until(
+            "done", lambda: sender._gcount >= sender._runLines and self.is_idle_at(plan["ended"])
+        )
         # As its window does at the end of a job: hold, reset, unlock, and restore all modes.
         sender.cleanAfter = True
         sender.runEnded()
         self.until("purged", lambda: not sender.cleanAfter and sender.queue.empty())
-        self.until("in place", lambda: self.at(plan["ended"]))
-        result["mpos"], result["wpos"] = self.place("m"), self.place("w")
+        self.until("in place", lambda: self.is_idle_at(plan["ended"]))
+        result["mpos"], result["wpos"] = self.position("m"), self.position("w")
 
 
 def main():
@@ -164,10 +166,10 @@ def main():
     find_bcnc()
     day = Day(make_sender(), json.loads(plan_file.read_text()))
     try:
-        day.live()
+        day.run_day()
     except Exception as error:
         day.result["failed"] = repr(error)
-    day.log()
+    day.collect_log()
     result_file.write_text(json.dumps(day.result))
     day.sender.thread = None
     os._exit(0)

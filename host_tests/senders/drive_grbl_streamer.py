@@ -58,11 +58,11 @@ class Day:
                 raise RuntimeError(f"never {what}: {self.sender.cmode}, {self.sender.cmpos}")
             time.sleep(0.02)
 
-    def at(self, expected):
+    def is_idle_at(self, expected):
         near = all(abs(a - b) < 0.005 for a, b in zip(self.sender.cmpos, expected))
         return self.sender.cmode == "Idle" and near
 
-    def live(self):
+    def run_day(self):
         sender, plan, result = self.sender, self.plan, self.result
         sender.cnect(plan["port"], 115200)
         self.until("greeted", lambda: self.booted)
@@ -70,10 +70,10 @@ class Day:
         self.until("told its settings", lambda: "132" in result["settings"])
         self.until("locked", lambda: sender.cmode == "Alarm")
         sender.homing()
-        self.until("homed", lambda: self.at(plan["homed"]))
+        self.until("homed", lambda: self.is_idle_at(plan["homed"]))
         result["homed"] = list(sender.cmpos)
         sender.send_immediately(plan["jog"])
-        self.until("jogged", lambda: self.at(plan["jogged"]))
+        self.until("jogged", lambda: self.is_idle_at(plan["jogged"]))
         sender.send_immediately(plan["zero"])
         sender.hash_state_requested = True
         jogged = tuple(plan["jogged"])
@@ -91,7 +91,7 @@ class Day:
         result["held"] = list(sender.cmpos)
         sender.resume()
         self.until("resumed", lambda: sender.cmode == "Run")
-        self.until("done", lambda: sender.job_finished and self.at(plan["ended"]))
+        self.until("done", lambda: sender.job_finished and self.is_idle_at(plan["ended"]))
         result["mpos"] = list(sender.cmpos)
         result["wpos"] = [a - b for a, b in zip(sender.cmpos, jogged)]
 
@@ -111,7 +111,7 @@ def main():
     plan_file, result_file = map(Path, sys.argv[1:])
     day = Day(json.loads(plan_file.read_text()))
     try:
-        day.live()
+        day.run_day()
     except Exception as error:
         day.result["failed"] = repr(error)
     result_file.write_text(json.dumps(day.result))

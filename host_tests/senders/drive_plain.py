@@ -47,14 +47,14 @@ class Plain:
             "states": [],
             "settings": {},
         }
-        self.under_way: deque[int] = deque()
+        self.unanswered_lengths: deque[int] = deque()
         self.state = ""
         self.mpos = [0.0] * 3
         self.wco = [0.0] * 3
         self.asked = 0.0
         self.rest = ""
 
-    def turn(self) -> None:
+    def poll(self) -> None:
         """Ask for a report when it is due, and read the bytes received."""
         if time.monotonic() - self.asked > _POLL_S:
             self.asked = time.monotonic()
@@ -69,7 +69,7 @@ class Plain:
         report = _REPORT.fullmatch(line)
         known = _KNOWN.fullmatch(line)
         if report:
-            self.note(report)
+            self.record_report(report)
         elif line.startswith(("error:", "ALARM:")):
             result["errors"].append(line)
         elif not known:
@@ -79,12 +79,12 @@ class Plain:
         elif known["version"]:
             result["version"] = known["version"]
         if line == "ok" or line.startswith("error:"):
-            if self.under_way:
-                self.under_way.popleft()
+            if self.unanswered_lengths:
+                self.unanswered_lengths.popleft()
             else:
                 result["unparsed"].append(line + " without a question")
 
-    def note(self, report: re.Match[str]) -> None:
+    def record_report(self, report: re.Match[str]) -> None:
         self.state = report["state"]
         self.mpos = [float(mm) for mm in report["mpos"].split(",")[:3]]
         if report["wco"]:
@@ -99,30 +99,30 @@ class Plain:
         while not condition():
             if time.monotonic() > end:
                 raise RuntimeError(f"never {what}: {self.state} {self.mpos}")
-            self.turn()
+            self.poll()
 
     def send(self, line: str) -> None:
         """Send as soon as space is free."""
         data = line.encode() + b"\n"
-        self.until("room", lambda: not self.under_way or self.fits(len(data)))
+        self.until("room", lambda: not self.unanswered_lengths or self.fits(len(data)))
         self.port.write(data)
-        self.under_way.append(len(data))
+        self.unanswered_lengths.append(len(data))
 
     def fits(self, length: int) -> bool:
-        return sum(self.under_way) + length <= self.window
+        return sum(self.unanswered_lengths) + length <= self.window
 
     def ask(self, line: str) -> None:
         self.send(line)
-        self.until(f"answered {line}", lambda: not self.under_way)
+        self.until(f"answered {line}", lambda: not self.unanswered_lengths)
 
     def wpos(self) -> list[float]:
         return [round(m - o, 3) for m, o in zip(self.mpos, self.wco, strict=True)]
 
-    def at(self, place: list[float]) -> bool:
+    def is_idle_at(self, place: list[float]) -> bool:
         return self.state == "Idle" and self.mpos == place
 
 
-def live(sender: Plain) -> None:
+def run_day(sender: Plain) -> None:
     """Do everything that belongs to the day."""
     plan, result = sender.plan, sender.result
     sender.port.write(b"\x18")
@@ -130,10 +130,10 @@ def live(sender: Plain) -> None:
     sender.ask("$$")
     sender.ask("$I")
     sender.ask("$H")
-    sender.until("homed", lambda: sender.at(plan["homed"]))
+    sender.until("homed", lambda: sender.is_idle_at(plan["homed"]))
     result["homed"] = sender.mpos
     sender.ask(plan["jog"])
-    sender.until("jogged", lambda: sender.at(plan["jogged"]))
+    sender.until("jogged", lambda: sender.is_idle_at(plan["jogged"]))
     sender.ask(plan["zero"])
     sender.until("zeroed", lambda: not any(sender.wpos()))
     result["zeroed"] = sender.wpos()
@@ -149,7 +149,9 @@ def live(sender: Plain) -> None:
     sender.port.write(b"~")
     for line in plan["program"][half:]:
         sender.send(line)
-    sender.until("done", lambda: not sender.under_way and sender.at(plan["ended"]))
+    sender.until(
+        "done", lambda: not sender.unanswered_lengths and sender.is_idle_at(plan["ended"])
+    )
     result["mpos"], result["wpos"] = sender.mpos, sender.wpos()
 
 
@@ -157,7 +159,7 @@ def main() -> None:
     mode, plan_file, result_file = sys.argv[1:]
     sender = Plain(json.loads(Path(plan_file).read_text()), mode == "line")
     try:
-        live(sender)
+        run_day(sender)
     except RuntimeError as error:
         sender.result["failed"] = str(error)
     Path(result_file).write_text(json.dumps(sender.result))

@@ -87,8 +87,8 @@ def available(install: Any) -> Path:
         pytest.skip(str(error))
 
 
-def live(bench: Bench, board: str, *command: object, moving: bool = False) -> Any:
-    """Run a sender through the day; return its record. command: of its driver; PLAN and RESULT
+def run_day(bench: Bench, board: str, *command: object, moving: bool = False) -> Any:
+    """Run a sender through its day; return its record. command: of its driver; PLAN and RESULT
     stand for the files that it reads and writes. moving: another sender has started motion before.
     """
     folder = bench.port.parent
@@ -106,7 +106,7 @@ def live(bench: Bench, board: str, *command: object, moving: bool = False) -> An
     return record
 
 
-def set_going(bench: Bench) -> None:
+def start_motion(bench: Bench) -> None:
     """Start a move of some seconds, and disconnect."""
     with serial.serial_for_url(bench.url, timeout=10) as port:
         port.read_until(b"]\r\n")
@@ -115,7 +115,7 @@ def set_going(bench: Bench) -> None:
             assert port.read_until(b"ok\r\n").endswith(b"ok\r\n")
 
 
-def judge(record: Any, bench: Bench, board: str) -> None:
+def check_record(record: Any, bench: Bench, board: str) -> None:
     """Check what holds for every sender's day, by its own record and by the machine's: no unparsed
     line, no error, the settings, the positions, a hold that was resumed."""
     assert record["unparsed"] == []
@@ -142,24 +142,24 @@ def judge(record: Any, bench: Bench, board: str) -> None:
 def test_cncjs(bench: Bench, board: str) -> None:
     home = available(cncjs)
     http_port = free_port()
-    record = live(
+    record = run_day(
         bench, board, "node", _HERE / "drive_cncjs.js", home, "PLAN", "RESULT", http_port
     )
     assert record["controller"] == "Grbl"
     assert max(record["override"]) == 120  # percent
     assert "Hold" in record["states"]
-    judge(record, bench, board)
+    check_record(record, bench, board)
 
 
 def test_bcnc(bench: Bench, board: str) -> None:
-    a_day_with_bcnc(bench, board)
+    check_bcnc(bench, board)
 
 
 def test_bcnc_over_the_network(network: Bench) -> None:
-    a_day_with_bcnc(network, "sim_wifi")
+    check_bcnc(network, "sim_wifi")
 
 
-def a_day_with_bcnc(bench: Bench, board: str) -> None:
+def check_bcnc(bench: Bench, board: str) -> None:
     """Drive bCNC, whose window needs Tk, through the day and check it."""
     interpreter = available(python)
     has_tk = subprocess.run(
@@ -167,36 +167,38 @@ def a_day_with_bcnc(bench: Bench, board: str) -> None:
     )
     if has_tk.returncode:
         pytest.skip("bCNC needs Tk, and this Python has been built without it")
-    record = live(bench, board, interpreter, _HERE / "drive_bcnc.py", "PLAN", "RESULT")
+    record = run_day(bench, board, interpreter, _HERE / "drive_bcnc.py", "PLAN", "RESULT")
     assert record["controller"] == "GRBL1"
     assert record["version"] == "1.1h"
     assert max(record["override"]) == 120
-    judge(record, bench, board)
+    check_record(record, bench, board)
 
 
 def test_grbl_streamer(bench: Bench, board: str) -> None:
     """override: feeds in mm/min that it has sent; it writes 1500 for the program's 1200."""
     interpreter = available(python)
-    record = live(bench, board, interpreter, _HERE / "drive_grbl_streamer.py", "PLAN", "RESULT")
+    record = run_day(bench, board, interpreter, _HERE / "drive_grbl_streamer.py", "PLAN", "RESULT")
     assert record["version"] == "1.1h"
     assert 1500 in record["override"]
-    judge(record, bench, board)
+    check_record(record, bench, board)
 
 
 @pytest.mark.parametrize("mode", ["line", "count"])
 def test_a_plain_streamer(bench: Bench, board: str, mode: str) -> None:
     """mode: it waits for each answer, or counts the bytes that are unanswered."""
-    record = live(bench, board, sys.executable, _HERE / "drive_plain.py", mode, "PLAN", "RESULT")
+    record = run_day(
+        bench, board, sys.executable, _HERE / "drive_plain.py", mode, "PLAN", "RESULT"
+    )
     assert record["version"] == "1.1h"
     assert max(record["override"]) == 120
     assert "Hold:0" in record["states"]
-    judge(record, bench, board)
+    check_record(record, bench, board)
 
 
 @pytest.mark.parametrize("mode", ["line", "count"])
 def test_a_plain_streamer_over_the_network(network: Bench, mode: str) -> None:
     command = sys.executable, _HERE / "drive_plain.py", mode, "PLAN", "RESULT"
-    judge(live(network, "sim_wifi", *command), network, "sim_wifi")
+    check_record(run_day(network, "sim_wifi", *command), network, "sim_wifi")
 
 
 @pytest.fixture(params=SERVERS)
@@ -211,29 +213,27 @@ def server(request: pytest.FixtureRequest) -> tuple[object, ...]:
 
 @pytest.mark.parametrize("moving", [False, True], ids=["idle", "moving"])
 def test_a_server(bench: Bench, board: str, server: tuple[object, ...], moving: bool) -> None:
-    a_day_with_a_server(bench, board, server, moving)
+    check_server(bench, board, server, moving)
 
 
 @pytest.mark.parametrize("moving", [False, True], ids=["idle", "moving"])
 def test_a_server_over_the_network(
     network: Bench, server: tuple[object, ...], moving: bool
 ) -> None:
-    a_day_with_a_server(network, "sim_wifi", server, moving)
+    check_server(network, "sim_wifi", server, moving)
 
 
-def a_day_with_a_server(
-    bench: Bench, board: str, server: tuple[object, ...], moving: bool
-) -> None:
+def check_server(bench: Bench, board: str, server: tuple[object, ...], moving: bool) -> None:
     """Run a server through the day and check it; moving: it meets a machine in motion."""
     if moving:
-        set_going(bench)
-    record = live(bench, board, *server, moving=moving)
+        start_motion(bench)
+    record = run_day(bench, board, *server, moving=moving)
     assert record.get("version", "1.1h") == "1.1h"
     assert max(record["override"]) == 120
     if moving:
         resets = "lw_comm" in str(server[1])  # its default when it opens the port
         assert ("Run" in record["met"]) is not resets
-    judge(record, bench, board)
+    check_record(record, bench, board)
 
 
 # A router with a rotary axis and jobs, for senders that know grblHAL.
@@ -260,14 +260,14 @@ def test_gsender_reads_axes_settings_and_programs_in_hal_dialect(tmp_path: Path)
     bench = Bench(tmp_path, "--board", str(file), settings=SETTINGS)
     try:
         command = "node", _HERE / "drive_gsender.js", folder, "PLAN", "RESULT", free_port()
-        record = live(bench, "sim_rotary", *command)
+        record = run_day(bench, "sim_rotary", *command)
         assert record["controller"] == "grblHAL"
         assert record["axes"] == ["X", "Y", "Z", "A"]
         assert {"HOME", "SD"} <= set(record["information"]["NEWOPT"])
         assert set(record["descriptions"]) == set(record["settings"])
         assert record["alarms"]["1"]["description"].startswith("A limit switch was hit")
         assert max(record["override"]) == 120
-        judge(record, bench, "sim_rotary")
+        check_record(record, bench, "sim_rotary")
         assert b" A4.5 F1200\n" in bench.wire(">")  # a line of the program: A was not lost
     finally:
         bench.kill()

@@ -122,7 +122,7 @@ class Bench:
         link = _link if "LINK" in BOARDS[name] else SimLink
         self.rig = Rig(_board(name, folder), self.store, link)
         self.sender = Sender(self.rig)
-        self.said = []
+        self.output = []
 
     def run(self, script) -> None:
         """Power up and run the script after the welcome. Raise the script's exception, if any."""
@@ -131,7 +131,7 @@ class Bench:
         def whole():
             self.sender.allow(3600_000)
             yield from self.sender.wait("banner", "", 100)
-            self.said += self.sender.take()
+            self.output += self.sender.take()
             yield from script(self)
             ended.append(True)
 
@@ -156,21 +156,21 @@ class Bench:
         if data[:2] in (b"$C", b"$R"):
             yield rig.ms(700)  # a reset follows
             if state.run == st.CHECK:
-                self.said += sender.take()
+                self.output += sender.take()
                 yield from self.line(b"$C")
         if state.run == st.ALARM and data != b"$X":
             yield rig.ms(600)
-            self.said += sender.take()
+            self.output += sender.take()
             yield from self.line(b"$X")
         assert sender.answers <= 1, (data, sender.lines)
-        self.said += sender.take()
+        self.output += sender.take()
 
     def lines(self, *texts):
         for text in texts:
             yield from self.line(text)
 
 
-def furnish(folder: str) -> None:
+def write_initial_files(folder: str) -> None:
     """Write the board's initial files."""
     for path in ("", "/flash", "/jobs"):
         os.mkdir(folder + path)
@@ -203,7 +203,7 @@ def lines_of(dice, how_many):
                     yield line
 
 
-def talk(name: str, folder: str, seed: int, how_many) -> int:
+def send_foreign_bytes(name: str, folder: str, seed: int, how_many) -> int:
     """Send such lines, and run jobs with such bytes. Return the number of lines."""
     bench = Bench(name, folder)
     count = [0]
@@ -215,24 +215,24 @@ def talk(name: str, folder: str, seed: int, how_many) -> int:
         yield from bench.lines(b"M5", b"G4P0", b"$N0=G21")
         bench.rig.link.send(b"\x18")
         yield bench.rig.ms(1000)
-        bench.said += bench.sender.take()  # with the output of the startup line
+        bench.output += bench.sender.take()  # with the output of the startup line
         yield from bench.lines(b"$X", b"G90", b"G0X0.5", b"G4P0", b"$I", b"$N", b"$#", b"$G")
         if "CUSTOM" in BOARDS[name]:
-            begun = len(bench.said)
+            begun = len(bench.output)
             yield from bench.lines(b"M100P1", b"M102", b"G101")
-            assert bench.said[begun:].count("ok") == 3, bench.said[begun:]
+            assert bench.output[begun:].count("ok") == 3, bench.output[begun:]
         if name == "hal":
             yield from bench.line(b"$ES")
-            assert "[SETTING:0|35|Pulse]" in bench.said, bench.said
-            assert "[SETTING:7|1|None]" not in bench.said, "the machine has no $7"
+            assert "[SETTING:0|35|Pulse]" in bench.output, bench.output
+            assert "[SETTING:7|1|None]" not in bench.output, "the machine has no $7"
         for job in ("GOOD", "BAD0", "BAD1", "BAD2", "BAD3"):
             if "JOBS" in BOARDS[name]:
                 yield from bench.line(b"$F=%s.NC" % job.encode())
                 yield bench.rig.ms(2000)
-        bench.said += bench.sender.take()
+        bench.output += bench.sender.take()
 
     bench.run(script)
-    said = bench.said
+    said = bench.output
     assert not [line for line in said if line.startswith("ALARM:16")], said
     if "JOBS" in BOARDS[name]:
         assert [line for line in said if "Job GOOD.NC: done" in line], said[-20:]
@@ -249,9 +249,9 @@ _FROM_THE_START = NAMES[:6]  # read before the welcome
 _SHOW = (b"$$", b"$#", b"$N", b"$I", b"M100", b"$FB", b"$I+")
 
 
-def fill(folder: str) -> None:
+def store_under_all_names(folder: str) -> None:
     """Let a machine store something under each of NAMES, twice."""
-    furnish(folder)
+    write_initial_files(folder)
     long = b"\n".join([b"G1X%dF9000" % (5 + i % 2) for i in range(40)])
     write(folder + "/jobs/LONG.NC", long)
     write(folder + "/jobs/OTHER.NC", long)
@@ -268,7 +268,7 @@ def fill(folder: str) -> None:
             yield rig.ms(1000)
             rig.link.send(b"\x18")
             yield rig.ms(1000)
-            bench.said += bench.sender.take()
+            bench.output += bench.sender.take()
             yield from bench.line(b"$X")
 
     Bench("all 1.1", folder).run(script)
@@ -283,18 +283,18 @@ def view(folder: str):
     shown = []
 
     def script(bench):
-        greeting, bench.said = bench.said, []
+        greeting, bench.output = bench.output, []
         yield from bench.lines(*_SHOW)
-        shown.extend([line for line in bench.said if not line.startswith("[MSG:Custom")])
+        shown.extend([line for line in bench.output if not line.startswith("[MSG:Custom")])
         shown.extend([line for line in greeting if "[MSG:Job" in line])
         shown.append(bench.rig.controller.saves.load("network") or [])
         bench.rig.link.send(b"\x18")  # reports damage that was found after the start
         yield bench.rig.ms(300)
-        bench.said = greeting + bench.said + bench.sender.take()
+        bench.output = greeting + bench.output + bench.sender.take()
 
     bench.run(script)
     port = [line for line in shown.pop() if not line.startswith("KEY=")]
-    return shown + port, bench.said
+    return shown + port, bench.output
 
 
 def damages(data: bytes, dice, flips):
@@ -322,7 +322,7 @@ def _restore(folder: str, kept) -> None:
         write(folder + "/flash/" + file, data)
 
 
-def kept_in(folder: str):
+def flash_files(folder: str):
     """Return the files of the machine's flash."""
     return {file: read(folder + "/flash/" + file) for file in os.listdir(folder + "/flash")}
 
@@ -342,16 +342,16 @@ def start_damaged(folder: str, kept, name: str, dice, flips: int) -> int:
     for spoilt in damages(kept[now], dice, flips):
         count += 1
         _restore(folder, dict(kept, **{now: spoilt}))
-        _check(folder, name, before, "older copy")
+        _check_report(folder, name, before, "older copy")
     _restore(folder, dict(without, **{old: kept[old]}))
-    _check(folder, name, before, "older copy")
+    _check_report(folder, name, before, "older copy")
     spoilt = b"\x80" + kept[now][1:]
     _restore(folder, dict(kept, **{now: spoilt, old: spoilt}))
-    _check(folder, name, none, "lost")
+    _check_report(folder, name, none, "lost")
     return count + 2
 
 
-def _check(folder: str, name: str, wanted, how: str) -> None:
+def _check_report(folder: str, name: str, wanted, how: str) -> None:
     shown, said = view(folder)
     assert shown == wanted, (name, shown, wanted)
     told = [line for line in said if line.startswith("[MSG:Damaged in flash")]
@@ -372,7 +372,10 @@ def start_with_damaged_custom(folder: str, dice, flips: int) -> None:
 
         bench = Bench("all", folder)
         bench.run(script)
-        assert [line for line in bench.said if line.startswith("[Custom")], (spoilt, bench.said)
+        assert [line for line in bench.output if line.startswith("[Custom")], (
+            spoilt,
+            bench.output,
+        )
     write(file, whole)
 
 
@@ -380,7 +383,7 @@ def damage_all(folder: str) -> int:
     """Damage every stored file many times and load it without a machine; then start one with all
     of
     them damaged. Return the number of damage reports."""
-    kept = kept_in(folder)
+    kept = flash_files(folder)
     _restore(folder, {file: data for file, data in kept.items() if ".old" in file})
     for name in NAMES:
         now = folder + "/flash/" + name + ".txt"
@@ -400,9 +403,9 @@ def main() -> None:
     if what == "damage":
         print(damage_all(folder))
         return
-    furnish(folder)
+    write_initial_files(folder)
     for name in MICROPYTHONS:
-        print(name, talk(name, folder, 7, 2))
+        print(name, send_foreign_bytes(name, folder, 7, 2))
 
 
 if __name__ == "__main__":

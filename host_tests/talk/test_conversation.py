@@ -97,10 +97,10 @@ def test_a_spindle_override_is_reported_during_motion() -> None:
 
 
 @pytest.mark.parametrize("stop", ["!", "\x84"])
-@pytest.mark.parametrize(("mode", "at_rest"), [("M3", "0,500"), ("M4", "0,0")])
-def test_a_laser_is_on_again_when_motion_resumes(stop: str, mode: str, at_rest: str) -> None:
-    """stop: hold or door. M3 keeps the laser on after the motion, M4 does not. at_rest: FS of the
-    report then."""
+@pytest.mark.parametrize(("mode", "fs_at_rest"), [("M3", "0,500"), ("M4", "0,0")])
+def test_a_laser_is_on_again_when_motion_resumes(stop: str, mode: str, fs_at_rest: str) -> None:
+    """stop: hold or door. M3 keeps the laser on after the motion, M4 does not. fs_at_rest: FS of
+    the report then."""
     bench = Bench({32: 1})
 
     def script() -> Script:
@@ -112,7 +112,7 @@ def test_a_laser_is_on_again_when_motion_resumes(stop: str, mode: str, at_rest: 
         yield from bench.say("~", "ms 150")
         assert bench.port.spindle_pwm
         yield from bench.say("", "idle")
-        assert (yield from status(bench))["FS"] == at_rest
+        assert (yield from status(bench))["FS"] == fs_at_rest
         assert bool(bench.port.spindle_pwm) == (mode == "M3")
 
     bench.run(script())
@@ -190,8 +190,8 @@ def test_a_probe_without_contact_reports_in_this_order() -> None:
     bench = Bench({})
 
     def script() -> Script:
-        said = yield from bench.say("G38.2X1F500\n", "ms 1200")
-        assert said == ["ALARM:5", "[PRB:0.000,0.000,0.000:0]", "ok"]
+        lines = yield from bench.say("G38.2X1F500\n", "ms 1200")
+        assert lines == ["ALARM:5", "[PRB:0.000,0.000,0.000:0]", "ok"]
         assert (yield from status(bench))[""] == "Alarm"
 
     bench.run(script())
@@ -203,7 +203,7 @@ def test_a_reset_during_a_probe_alarm_acts_after_its_report() -> None:
     bench = Bench({})
 
     def script() -> Script:
-        """Probe in vain, wait for the alarm, and reset at once."""
+        """Probe without contact, wait for the alarm, and reset at once."""
         lines = yield from bench.say("G38.2X1F500\n", "ms 300")
         while lines != ["ALARM:5"]:
             assert not lines

@@ -23,7 +23,9 @@ _USED_BEFORE = 0x55
 BUILD = "[MSG:Build: --------]"  # of a build from sources
 
 
-def answers(health: "Callable[[], str] | None", *lines: str, fault: str = "") -> "list[list[str]]":
+def answers_to(
+    health: "Callable[[], str] | None", *lines: str, fault: str = ""
+) -> "list[list[str]]":
     """Return the answers to each line, on a board with that health function and that last
     fault."""
     machine = Machine(watched=False)
@@ -40,20 +42,20 @@ def answers(health: "Callable[[], str] | None", *lines: str, fault: str = "") ->
 
 
 def test_i_plus_adds_the_boards_health_to_i() -> None:
-    of_i, of_i_plus = answers(lambda: "Stack: 4704 of 8192 bytes used", "$I", "$I+")
+    of_i, of_i_plus = answers_to(lambda: "Stack: 4704 of 8192 bytes used", "$I", "$I+")
     assert of_i[-1] == "ok" and len(of_i) == 3  # version, options, ok
     assert of_i_plus == [*of_i[:-1], BUILD, "[MSG:Stack: 4704 of 8192 bytes used]", "ok"]
 
 
 def test_i_plus_without_health_shows_only_the_build() -> None:
     """None: a board without a health function. $I=MILL stores a text that $I shows."""
-    of_name, before, of_i_plus, after = answers(None, "$I=MILL", "$I", "$I+", "$I")
+    of_name, before, of_i_plus, after = answers_to(None, "$I=MILL", "$I", "$I+", "$I")
     assert of_name == ["ok"] and "MILL" in before[0]
     assert of_i_plus == [*before[:-1], BUILD, "ok"] and after == before
 
 
 def test_the_last_fault_is_reported_until_power_off() -> None:
-    replies = answers(None, "$I+", "$I+", fault="ValueErr: 5 (1a2b3c4d)")
+    replies = answers_to(None, "$I+", "$I+", fault="ValueErr: 5 (1a2b3c4d)")
     assert [lines[-2] for lines in replies] == ["[MSG:Last fault: ValueErr: 5 (1a2b3c4d)]"] * 2
 
 
@@ -66,7 +68,7 @@ def test_similar_commands_are_refused_without_asking_for_health(line: str) -> No
         calls.append(1)
         return "Stack: 1 of 8192 bytes used"
 
-    assert answers(health, line) == [["error:3"]] and not calls
+    assert answers_to(health, line) == [["error:3"]] and not calls
 
 
 class Wire:
@@ -86,8 +88,8 @@ class Wire:
 
 
 def test_a_reported_fault_contains_no_answer_and_only_plain_letters() -> None:
-    told = faults.sanitize("añb error [x] ok \ud800 z\n")
-    assert told == "a b Err  x  o-k   z "
+    sanitized = faults.sanitize("añb error [x] ok \ud800 z\n")
+    assert sanitized == "a b Err  x  o-k   z "
 
 
 def test_a_fault_is_reported_again_on_request_and_kept_for_later(

@@ -24,12 +24,12 @@ class Off(Exception):
 class Loop:
     """A protocol loop between fakes. It restarts `restarts` times, then power is off.
 
-    fed: bytes passed to the reader of lines; seen: unread bytes at each start.
+    fed: bytes passed to the reader of lines.
     """
 
     def __init__(self, unread: bytes, restarts: int = 0, by_pin: bool = False) -> None:
         self.link, self.fed = FakeLink(unread), b""
-        self.seen: "list[bytes]" = []  # unread bytes at each start
+        self.unread_at_starts: "list[bytes]" = []  # unread bytes at each start
         self.motor_control: Any = SimpleNamespace(by_pin=by_pin)
         self._restarts = restarts
         reader: Any = SimpleNamespace(
@@ -60,8 +60,8 @@ class Loop:
         self.fed += buf[:count]
 
     def _restart(self) -> None:
-        self.seen.append(self.link.unread)
-        if len(self.seen) > self._restarts:
+        self.unread_at_starts.append(self.link.unread)
+        if len(self.unread_at_starts) > self._restarts:
             raise Off
         raise Abort
 
@@ -77,7 +77,9 @@ def test_bytes_sent_before_a_reset_by_pin_are_dropped() -> None:
     loop = Loop(b"G1X1\n", by_pin=True)
     with pytest.raises(Off):
         loop.protocol.run()
-    assert loop.seen == [b""] and not loop.motor_control.by_pin  # none left at the restart
+    assert (
+        loop.unread_at_starts == [b""] and not loop.motor_control.by_pin
+    )  # none left at the restart
 
 
 def test_the_next_line_is_kept_after_other_resets_even_after_a_fault() -> None:
@@ -109,12 +111,12 @@ class FastLink(SimLink):
         return super().read_into(buf)
 
 
-class Turns:
-    """A simulated machine; at each pass of the main loop it records the lines answered so far (at)
-    and the reads so far (reads)."""
+class LoopRecorder:
+    """A simulated machine; at each pass of the main loop it records the lines answered and the
+    reads so far."""
 
     def __init__(self) -> None:
-        self.at: "list[int]" = []
+        self.answered: "list[int]" = []
         self.reads: "list[int]" = []
         self.answers: "list[str]" = []
         self.rig = Rig(load_board("sim"), factory_store(load_board("sim")), FastLink)
@@ -128,7 +130,7 @@ class Turns:
 
         def recorded() -> None:
             self.sender.poll()
-            self.at.append(self.sender.answers)
+            self.answered.append(self.sender.answers)
             self.reads.append(self.rig.link.reads)
             handle_events()
 
@@ -142,14 +144,14 @@ class Turns:
             yield from self.sender.wait("banner", "")
             yield from self.sender.wait("ok", "$C\n")
             self.sender.take()
-            self.at[:], self.reads[:] = [0], [self.rig.link.reads]
+            self.answered[:], self.reads[:] = [0], [self.rig.link.reads]
             yield from self.sender.wait("ok", text)
             self.answers = self.sender.take()
 
         self.rig.run(script())
 
 
-def most(counts: "list[int]") -> int:
+def largest_increase(counts: "list[int]") -> int:
     """Return the largest increase of a count from one pass of the loop to the next."""
     return max(b - a for a, b in itertools.pairwise(counts))
 
@@ -166,30 +168,30 @@ def most(counts: "list[int]") -> int:
     ],
 )
 def test_the_loop_turns_regularly_whatever_lines_are_streamed(lines: "list[str]") -> None:
-    machine = Turns()
+    machine = LoopRecorder()
     machine.play("".join(line + "\n" for line in ["G1X1F3000", *lines]))
     assert machine.answers == ["ok"] * (len(lines) + 1)  # G1X1F3000, and the lines
-    assert most(machine.at) <= 18, "too many lines without a turn of the loop"
+    assert largest_increase(machine.answered) <= 18, "too many lines without a turn of the loop"
 
 
 def test_move_only_lines_do_not_need_a_turn_each() -> None:
-    machine = Turns()
+    machine = LoopRecorder()
     machine.play("G1X1F3000\n" + "X1\nX2\n" * 300)
-    assert len(machine.at) < 200  # passes, for 601 lines
+    assert len(machine.answered) < 200  # passes, for 601 lines
 
 
 def test_the_loop_turns_regularly_during_an_endless_line() -> None:
-    machine = Turns()
+    machine = LoopRecorder()
     machine.play("G1X1F3000\n(" + "x" * 20_000 + ")\n")
     assert machine.answers == ["ok"] * 2
-    assert most(machine.reads) <= 17  # reads per pass
+    assert largest_increase(machine.reads) <= 17  # reads per pass
 
 
 @pytest.mark.parametrize("line", ["G90", "F600", "(nothing)", "X50"])
 def test_a_laser_is_off_in_a_hold_whatever_lines_come(line: str) -> None:
     """Within the 25 ms of $1 after motion has stopped, and some more, though 2000 lines arrive
     with the `!`."""
-    machine = Turns()
+    machine = LoopRecorder()
     sender, rig = machine.sender, machine.rig
     lit_ms: "list[float]" = []
 
@@ -214,41 +216,41 @@ def test_a_laser_is_off_in_a_hold_whatever_lines_come(line: str) -> None:
 class Miscounting:
     """cncjs 1.11: it allows 120 unanswered bytes, but counts each resume as an answer.
 
-    under_way: lengths of lines it believes unanswered; most: bytes that really were, at most.
+    unanswered_lengths: as it believes; most_unanswered: bytes that really were, at most.
     """
 
-    def __init__(self, machine: Turns, lines: "list[str]") -> None:
+    def __init__(self, machine: LoopRecorder, lines: "list[str]") -> None:
         self.link, self.sender = machine.rig.link, machine.sender
         self.lines = [line + "\n" for line in lines]
-        self.under_way: "list[int]" = []
-        self.sent = self.heard = self.most = 0
+        self.unanswered_lengths: "list[int]" = []
+        self.sent = self.counted = self.most_unanswered = 0
 
-    def go_on(self) -> None:
+    def send_next(self) -> None:
         """Count an answer, and send lines while at most 120 bytes count as unanswered."""
-        del self.under_way[:1]
+        del self.unanswered_lengths[:1]
         while self.sent < len(self.lines):
             line = self.lines[self.sent]
-            if sum(self.under_way) + len(line) >= 120:
+            if sum(self.unanswered_lengths) + len(line) >= 120:
                 break
-            self.under_way.append(len(line))
+            self.unanswered_lengths.append(len(line))
             self.link.send(line.encode())
             self.sent += 1
         waiting = self.lines[self.sender.answers : self.sent]
-        self.most = max(self.most, sum(map(len, waiting)))
+        self.most_unanswered = max(self.most_unanswered, sum(map(len, waiting)))
 
-    def turn(self) -> bool:
+    def poll(self) -> bool:
         """Read the answers; return whether all lines are answered."""
         self.sender.poll()
-        for _ in range(self.sender.answers - self.heard):
-            self.go_on()
-        self.heard = self.sender.answers
-        return self.heard == len(self.lines)
+        for _ in range(self.sender.answers - self.counted):
+            self.send_next()
+        self.counted = self.sender.answers
+        return self.counted == len(self.lines)
 
 
 def test_a_sender_that_counts_a_resume_as_an_answer_loses_no_line() -> None:
     """After three resumes it sends more than its 120 bytes ahead; the receive buffer must hold
     them all."""
-    machine = Turns()
+    machine = LoopRecorder()
     rig, sender = machine.rig, machine.sender
     lines = [f"G1 X{k % 2}.{k % 10}00 Y0.{k % 10}00 F1200" for k in range(120)]
     cncjs = Miscounting(machine, lines)
@@ -258,17 +260,17 @@ def test_a_sender_that_counts_a_resume_as_an_answer_loses_no_line() -> None:
         yield from sender.wait("banner", "")
         sender.take()
         sender.allow(300_000)  # ms for all of it
-        cncjs.go_on()
+        cncjs.send_next()
         for count in (20, 40, 60):
-            yield from sender.until(lambda count=count: cncjs.turn() or cncjs.heard > count)
+            yield from sender.until(lambda count=count: cncjs.poll() or cncjs.counted > count)
             rig.link.send(b"!")
             yield rig.ms(300)
-            cncjs.turn()
+            cncjs.poll()
             rig.link.send(b"~")
-            cncjs.go_on()
-        yield from sender.until(cncjs.turn)
+            cncjs.send_next()
+        yield from sender.until(cncjs.poll)
         machine.answers = sender.take()
 
     rig.run(script())
-    assert cncjs.most > 150, "unanswered bytes"
+    assert cncjs.most_unanswered > 150, "unanswered bytes"
     assert machine.answers == ["ok"] * len(lines)

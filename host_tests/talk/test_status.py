@@ -30,7 +30,7 @@ def bits(x: float) -> int:
     return word
 
 
-def written(form: bytes, values: "list[int]", singles: "list[float]") -> str:
+def write_form(form: bytes, values: "list[int]", singles: "list[float]") -> str:
     """Return write()'s output for these values, after an `a`."""
     out = bytearray(b"a" + bytes(200))
     ints = array("i", [1, *values, 0])
@@ -86,7 +86,7 @@ def test_infinity_stays_infinite() -> None:
 
 @given(places, some.integers(0, 4))
 def test_a_single_is_written_like_grbl(x: float, decimals: int) -> None:
-    assert written(b"#%d\0" % decimals, [], [x]) == printed(x, decimals)
+    assert write_form(b"#%d\0" % decimals, [], [x]) == printed(x, decimals)
 
 
 @pytest.mark.parametrize(
@@ -101,7 +101,7 @@ def test_a_single_is_written_like_grbl(x: float, decimals: int) -> None:
     ],
 )
 def test_limits_of_the_number_format(x: float, text: str) -> None:
-    assert written(b"#3\0", [], [x]) == text
+    assert write_form(b"#3\0", [], [x]) == text
 
 
 def test_a_value_beyond_31_bits_is_reported() -> None:
@@ -111,18 +111,18 @@ def test_a_value_beyond_31_bits_is_reported() -> None:
 
 @given(some.integers(0, 2**31 - 1), some.integers(0, 1000))
 def test_integers_are_written_in_order(first: int, second: int) -> None:
-    assert written(b"|Bf:%,%\0", [first, second], []) == f"|Bf:{first},{second}"
+    assert write_form(b"|Bf:%,%\0", [first, second], []) == f"|Bf:{first},{second}"
 
 
 @given(some.integers(0, 15))
 def test_letters_are_written_for_set_bits(mask: int) -> None:
     letters = "".join(c for i, c in enumerate("SCFM") if mask >> i & 1)
-    assert written(b"|A:?S?C?F?M\0", [mask], []) == "|A:" + letters
+    assert write_form(b"|A:?S?C?F?M\0", [mask], []) == "|A:" + letters
 
 
 def test_a_form_may_contain_all_kinds_of_fields() -> None:
     assert VALUES == 1
-    text = written(b"<Door:%|#3,#0|?P?X>\r\n\0", [3, 2], [-1.25, 999.5])
+    text = write_form(b"<Door:%|#3,#0|?P?X>\r\n\0", [3, 2], [-1.25, 999.5])
     assert text == "<Door:3|-1.250,1000|X>\r\n"
 
 

@@ -33,7 +33,7 @@ class Hardware(SimHardware):
         return made
 
 
-def error(hardware: SimHardware, rate: float, axis: int = 0) -> float:
+def rate_error(hardware: SimHardware, rate: float, axis: int = 0) -> float:
     """Return the relative error of an axis' mean rate (rate: steps/s), without the ramp at its
     start. 0: within the rounding of its first and last step."""
     cruising_from = _TO_SPEED_S * hardware.sim.tick_hz
@@ -71,7 +71,7 @@ def test_a_long_move_has_exactly_its_rate(per_unit: float, speed: float, engine:
     Group(ra=ra, hardware=hardware)
     ra.run(speed)
     hardware.pass_s(60)
-    assert error(hardware, per_unit * speed) < ERROR
+    assert rate_error(hardware, per_unit * speed) < ERROR
 
 
 @some(30)
@@ -80,22 +80,22 @@ def test_any_rate_is_exact(rate: float, per_unit: float, back: bool) -> None:
     """rate: steps/s; per_unit: steps per unit."""
     hardware = Hardware()
     speed = rate / per_unit
-    axis = Axis(2, 5, per_unit, 2 * speed, 10 * speed)
+    axis = Axis(2, 5, steps_per_unit=per_unit, speed=2 * speed, acceleration=10 * speed)
     Group(x=axis, hardware=hardware)
     axis.run(-speed if back else speed)
     hardware.pass_s(max(5, 40 / rate))  # at least 40 steps
-    assert error(hardware, rate) < ERROR
+    assert rate_error(hardware, rate) < ERROR
 
 
 def test_without_the_correction_the_rate_is_off(monkeypatch: pytest.MonkeyPatch) -> None:
     """The planner's own error, which set_time() corrects: a rate of 64 steps/s."""
     monkeypatch.setattr("ugrbl_motion.exact.set_time", lambda *_: 0)
     hardware = Hardware()
-    ra = Axis(2, 5, 64 / 15, 300, 1500)
+    ra = Axis(2, 5, steps_per_unit=64 / 15, speed=300, acceleration=1500)
     Group(ra=ra, hardware=hardware)
     ra.run(15.0)
     hardware.pass_s(60)
-    assert 3e-6 < error(hardware, 64.0) < 1e-3  # 15 arc seconds/s * 64/15 steps
+    assert 3e-6 < rate_error(hardware, 64.0) < 1e-3  # 15 arc seconds/s * 64/15 steps
 
 
 def test_all_axes_of_a_line_are_exact() -> None:
@@ -105,17 +105,17 @@ def test_all_axes_of_a_line_are_exact() -> None:
     # 300, 400: a length of 500 at 5 units/s, 3 and 4 units/s of the axes
     group.move(5, x=300, y=400)
     hardware.pass_s(60)
-    assert error(hardware, 80 * 3.0, 0) < ERROR
+    assert rate_error(hardware, 80 * 3.0, 0) < ERROR
     # The shorter axis' first and last step are placed within a tenth of its interval.
     steps_of_y = 37 * 4.0 * (60 - _TO_SPEED_S)
-    assert error(hardware, 37 * 4.0, 1) < ERROR + 0.1 / steps_of_y
+    assert rate_error(hardware, 37 * 4.0, 1) < ERROR + 0.1 / steps_of_y
 
 
 def test_steps_stay_even() -> None:
     """The correction of each row must not show: the intervals of a steady rate differ by few
     ticks."""
     hardware = Hardware()
-    ra = Axis(2, 5, 100.0, 100, 1000)
+    ra = Axis(2, 5, steps_per_unit=100.0, speed=100, acceleration=1000)
     Group(ra=ra, hardware=hardware)
     ra.run(15.041)
     hardware.pass_s(20)
@@ -129,7 +129,7 @@ def test_steps_stay_even() -> None:
 def test_a_pace_keeps_the_rate_exact_and_ends_exactly() -> None:
     """A camera guides a mount: half as fast again, then at the old rate."""
     hardware = Hardware()
-    ra = Axis(2, 5, 64 / 15, 300, 1500)
+    ra = Axis(2, 5, steps_per_unit=64 / 15, speed=300, acceleration=1500)
     group = Group(ra=ra, hardware=hardware)
     ra.run(15.0)
     for factor in (1.5, 0.5, 1.0):
@@ -138,13 +138,13 @@ def test_a_pace_keeps_the_rate_exact_and_ends_exactly() -> None:
         hardware.pass_s(30)
         # without the first rows, where the speed changes; times from 0
         hardware.made[:] = [(start - hardware.made[0][0], row) for start, row in hardware.made[5:]]
-        assert error(hardware, 64.0 * factor) < ERROR  # 15 * 64 / 15 steps/s
+        assert rate_error(hardware, 64.0 * factor) < ERROR  # 15 * 64 / 15 steps/s
 
 
 def test_moves_at_one_speed_follow_one_another_exactly() -> None:
     """A turntable that triggers a camera: many short moves make one rate."""
     hardware = Hardware()
-    turn = Axis(2, 5, 12800 / 360, 60, 120)
+    turn = Axis(2, 5, steps_per_unit=12800 / 360, speed=60, acceleration=120)
     group = Group(turn=turn, hardware=hardware)
     group.move_by(10, turn=20)
     for _ in range(200):
@@ -153,10 +153,10 @@ def test_moves_at_one_speed_follow_one_another_exactly() -> None:
     rows = hardware.made[: -len(hardware.made) // 10]  # without the ramp at the end
     hardware.made[:] = rows
     # 10 degrees/s; a move of 0.75 degrees has 26 or 27 steps, 26.67 on average
-    assert error(hardware, 12800 / 36) < 2e-5
+    assert rate_error(hardware, 12800 / 36) < 2e-5
 
 
-def kernel(row_in: "list[int]", bits: int, cruise: int = 1 << 20) -> "tuple[int, Any, Any]":
+def call_set_time(row_in: "list[int]", bits: int, cruise: int = 1 << 20) -> "tuple[int, Any, Any]":
     """Call set_time() with one motor. row_in: ticks, steps, first and last tick; bits: of a float,
     ticks per step; cruise: speed of the block. Return its result, the row and the remainder of a
     tick."""
@@ -175,12 +175,12 @@ def test_rows_of_another_speed_are_left_alone() -> None:
     without a period (bits 0), or without steps."""
     (bits,) = array("i", array("f", [1000.0]).tobytes())
     for ticks in (9_800, 10_200, 5_000, 40_000):
-        is_corrected, row, rest = kernel([ticks, 10, ticks // 10, ticks], bits)
-        assert not is_corrected and row[ROW_TICKS] == ticks and rest[0] == 0
-    is_corrected, row, _ = kernel([10_009, 10, 1001, 10_009], bits)
+        is_corrected, row, remainder = call_set_time([ticks, 10, ticks // 10, ticks], bits)
+        assert not is_corrected and row[ROW_TICKS] == ticks and remainder[0] == 0
+    is_corrected, row, _ = call_set_time([10_009, 10, 1001, 10_009], bits)
     assert is_corrected and list(row) == [10_000, 0, 0, 10, 1001, 10_000]
-    assert kernel([10_009, 10, 1001, 10_009], 0)[0] == 0
-    assert kernel([10_009, 0, 0, 0], bits)[0] == 0
+    assert call_set_time([10_009, 10, 1001, 10_009], 0)[0] == 0
+    assert call_set_time([10_009, 0, 0, 0], bits)[0] == 0
 
 
 def test_the_longest_rows_fit() -> None:
@@ -191,5 +191,5 @@ def test_the_longest_rows_fit() -> None:
         exact = int(array("f", [period])[0] * steps)
         for error_ticks in (-exact // 2000, 0, exact // 2000):
             ticks = exact + error_ticks
-            is_corrected, row, _ = kernel([ticks, steps, ticks // steps, ticks], bits)
+            is_corrected, row, _ = call_set_time([ticks, steps, ticks // steps, ticks], bits)
             assert is_corrected and row[ROW_TICKS] == exact == row[ROW_AXES + 2]

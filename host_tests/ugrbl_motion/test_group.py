@@ -47,9 +47,9 @@ def test_any_moves_obey_the_laws_of_motion_and_end_at_their_targets(moves: Any) 
     all, under all laws."""
     bench = GroupBench()
     targets = dict.fromkeys(NAMES, 0.0)
-    for to, speed, level in moves:
-        bench.group.move(speed, out0=level, **to)
-        targets |= to
+    for target, speed, level in moves:
+        bench.group.move(speed, out0=level, **target)
+        targets |= target
     bench.check()
     assert bench.steps == [rounded(targets[name], i) for i, name in enumerate(NAMES)]
 
@@ -59,8 +59,8 @@ def test_any_moves_obey_the_laws_of_motion_and_end_at_their_targets(moves: Any) 
 def test_a_queue_that_runs_dry_between_moves_loses_nothing(moves: Any, pauses: Any) -> None:
     """Moves come late, early, and exactly as the last one ends."""
     bench = GroupBench()
-    for (to, speed, _), pause in zip(moves, pauses, strict=False):
-        bench.group.move(speed, **to)
+    for (target, speed, _), pause in zip(moves, pauses, strict=False):
+        bench.group.move(speed, **target)
         bench.run(pause)  # s
     bench.check()
 
@@ -89,9 +89,9 @@ def test_a_faster_speed_than_an_axis_has_is_its_own(bench: GroupBench) -> None:
 # Stops
 
 
-def on_line(bench: GroupBench, to: "tuple[float, ...]") -> float:
-    """Return how far the motors are off the line from 0 to `to`, in steps."""
-    end_steps = [place * per for place, per in zip(to, RESOLUTION, strict=True)]
+def steps_off_line(bench: GroupBench, target: "tuple[float, ...]") -> float:
+    """Return how far the motors are off the line from 0 to the target, in steps."""
+    end_steps = [place * per for place, per in zip(target, RESOLUTION, strict=True)]
     length_sqr = sum(n * n for n in end_steps)
     fraction = sum(a * b for a, b in zip(bench.steps, end_steps, strict=True)) / length_sqr
     return max(abs(a - fraction * b) for a, b in zip(bench.steps, end_steps, strict=True))
@@ -99,17 +99,17 @@ def on_line(bench: GroupBench, to: "tuple[float, ...]") -> float:
 
 @some(60)
 @given(st.floats(0, 1.0), st.sampled_from(["stop", "halt", "pause"]))
-def test_a_stop_at_any_instant_keeps_position_and_path(after_s: float, how: str) -> None:
+def test_a_stop_at_any_instant_keeps_position_and_path(after_s: float, method: str) -> None:
     """A pause continues to the last target. stop() and halt() discard moves; the next move begins
     where the motors are."""
     bench = GroupBench()
-    group, to = bench.group, (20.0, 7.0, -35.0)
-    group.move(x=to[0], y=to[1], z=to[2])
+    group, target = bench.group, (20.0, 7.0, -35.0)
+    group.move(x=target[0], y=target[1], z=target[2])
     group.move(x=0)
     bench.run(after_s)
     steps_before, asked_at_s = bench.steps, bench.hardware.now_s
-    getattr(group, how)()
-    if how == "pause":
+    getattr(group, method)()
+    if method == "pause":
         bench.run(1.5)
         assert not group.done() or not group._lines.busy()
         group.resume()
@@ -119,10 +119,10 @@ def test_a_stop_at_any_instant_keeps_position_and_path(after_s: float, how: str)
     group.wait()
     assert bench.steps == [axis.steps for axis in bench.axes]
     assert [group.end(i) for i in range(3)] == bench.steps  # the next move begins here
-    ends = [rounded(place, i) for i, place in enumerate(to)]
+    ends = [rounded(place, i) for i, place in enumerate(target)]
     if bench.steps[1:] != ends[1:]:  # stopped within the first move, not in the second, of X only
-        assert on_line(bench, to) <= 1 + _OFF
-    if how == "halt":  # at once, without braking
+        assert steps_off_line(bench, target) <= 1 + _OFF
+    if method == "halt":  # at once, without braking
         assert bench.steps == steps_before and bench.hardware.now_s == asked_at_s
     group.move(x=1, y=2, z=3)
     group.wait()
@@ -277,15 +277,15 @@ def test_an_inverted_axis_counts_the_other_way_at_the_pins() -> None:
 
 
 @pytest.fixture
-def loop_of() -> "Iterator[Any]":
+def use_virtual_time() -> "Iterator[Any]":
     """Return a function that makes asyncio.run() use the virtual time of a bench."""
     policy = asyncio.get_event_loop_policy()
     yield lambda bench: virtual_asyncio.install([bench.hardware])
     asyncio.set_event_loop_policy(policy)
 
 
-def test_tasks_run_while_a_task_waits_for_motion(bench: GroupBench, loop_of: Any) -> None:
-    loop_of(bench)
+def test_tasks_run_while_a_task_waits_for_motion(bench: GroupBench, use_virtual_time: Any) -> None:
+    use_virtual_time(bench)
     positions: "list[float]" = []
 
     async def watch() -> None:
@@ -309,8 +309,8 @@ def test_tasks_run_while_a_task_waits_for_motion(bench: GroupBench, loop_of: Any
     bench.check()
 
 
-def test_a_stop_from_another_task_ends_the_wait(bench: GroupBench, loop_of: Any) -> None:
-    loop_of(bench)
+def test_a_stop_from_another_task_ends_the_wait(bench: GroupBench, use_virtual_time: Any) -> None:
+    use_virtual_time(bench)
 
     async def main() -> None:
         """Stop a long move after 1 s, while another task waits for its end."""
@@ -324,10 +324,10 @@ def test_a_stop_from_another_task_ends_the_wait(bench: GroupBench, loop_of: Any)
     asyncio.run(main())
 
 
-def test_a_task_fills_the_queue_without_blocking_others(loop_of: Any) -> None:
+def test_a_task_fills_the_queue_without_blocking_others(use_virtual_time: Any) -> None:
     """After `await ready()` a move needs no time; another task ran every 10 ms meanwhile."""
     bench = GroupBench(queue=4)
-    loop_of(bench)
+    use_virtual_time(bench)
     ticks = 0
 
     async def count_ticks() -> None:
@@ -353,10 +353,10 @@ def test_a_task_fills_the_queue_without_blocking_others(loop_of: Any) -> None:
 
 
 def test_a_program_in_which_every_task_waits_for_ever_is_reported(
-    bench: GroupBench, loop_of: Any
+    bench: GroupBench, use_virtual_time: Any
 ) -> None:
     """Virtual time could not go on: no task waits for a time or a move."""
-    loop_of(bench)
+    use_virtual_time(bench)
 
     async def main() -> None:
         await asyncio.Event().wait()

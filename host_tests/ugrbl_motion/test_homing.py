@@ -12,7 +12,7 @@ PIN = 20
 X = 0
 
 
-def found(bench: GroupBench, homing: Homing) -> None:
+def home_x(bench: GroupBench, homing: Homing) -> None:
     """Home X, and check that it stands still afterwards."""
     homing.find(bench.axes[X])
     assert bench.group.done() and bench.engine.idle()
@@ -29,7 +29,7 @@ def test_the_switch_is_where_it_is_declared(
     bench = GroupBench()
     bench.hardware.switch(PIN, X, switch_steps, is_above, bounces)
     speed = 40.0 if is_above else -40.0
-    found(bench, Homing(Switch(PIN, position), speed, slow=2.0, back_off=1.5, travel=60))
+    home_x(bench, Homing(Switch(PIN, position), speed, slow=2.0, back_off=1.5, travel=60))
     x = bench.axes[X]
     # The first edge of a switch that bounces.
     edge = switch_steps - 2 * bounces if is_above else switch_steps + 2 * bounces
@@ -42,7 +42,7 @@ def test_the_switch_is_where_it_is_declared(
 def test_without_bounces_it_is_exact_to_the_step() -> None:
     bench = GroupBench()
     bench.hardware.switch(PIN, X, -800, above=False)
-    found(bench, Homing(Switch(PIN, position=-2.0), -40.0, 2.0, back_off=1.0, travel=60))
+    home_x(bench, Homing(Switch(PIN, position=-2.0), -40.0, 2.0, back_off=1.0, travel=60))
     # backed off by 1 unit of 80 steps
     assert bench.steps[X] == -720 and bench.axes[X].position == -1.0
 
@@ -50,7 +50,7 @@ def test_without_bounces_it_is_exact_to_the_step() -> None:
 def test_a_switch_that_is_closed_at_the_start_is_left_and_found_again() -> None:
     bench = GroupBench()
     bench.hardware.switch(PIN, X, 40, above=False)  # closed up to step 40: X starts at 0
-    found(bench, Homing(Switch(PIN), -40.0, 2.0, back_off=1.0, travel=60))
+    home_x(bench, Homing(Switch(PIN), -40.0, 2.0, back_off=1.0, travel=60))
     assert bench.steps[X] == 40 + 80 and bench.axes[X].position == 1.0
 
 
@@ -58,7 +58,7 @@ def test_other_axes_stay_where_they_are_and_earlier_moves_are_finished() -> None
     bench = GroupBench()
     bench.hardware.switch(PIN, X, -800, above=False)
     bench.group.move(x=2, y=3)
-    found(bench, Homing(Switch(PIN), -40.0, 2.0, back_off=1.0, travel=60))
+    home_x(bench, Homing(Switch(PIN), -40.0, 2.0, back_off=1.0, travel=60))
     assert bench.steps[1:] == [600, 0] and bench.axes[1].position == 3.0  # y=3, 200 steps per unit
 
 
@@ -81,7 +81,7 @@ def test_a_switch_that_stays_closed_is_reported() -> None:
 def test_after_homing_the_switch_stops_nothing() -> None:
     bench = GroupBench()
     bench.hardware.switch(PIN, X, -800, above=False)
-    found(bench, Homing(Switch(PIN), -40.0, 2.0, back_off=1.0, travel=60))
+    home_x(bench, Homing(Switch(PIN), -40.0, 2.0, back_off=1.0, travel=60))
     bench.axes[X].move(-5)  # beyond the switch
     bench.group.wait()
     assert bench.axes[X].position == -5

@@ -30,7 +30,7 @@ def folder(monkeypatch: pytest.MonkeyPatch) -> "Iterator[None]":
     asyncio.set_event_loop_policy(policy)
 
 
-def ran(name: str, *changes: "tuple[str, str]") -> SimHardware:
+def run_example(name: str, *changes: "tuple[str, str]") -> SimHardware:
     """Run an example with changes of its text; return its hardware."""
     text = (_FOLDER / f"{name}.py").read_text()
     for old, new in changes:
@@ -51,37 +51,39 @@ def test_an_example_has_at_most_thirty_lines(name: str) -> None:
 def step_ends(hardware: SimHardware, axis: int) -> "list[tuple[int, int]]":
     """Return (tick of the last step of a row, steps made so far) of an axis."""
     count_at = ROW_AXES + 3 * axis
-    ends, made = [], 0
+    ends, total_steps = [], 0
     for start, row in hardware.made:
-        made += row[count_at]
+        total_steps += row[count_at]
         if row[count_at]:
-            ends.append((start + row[count_at + 2], made))
+            ends.append((start + row[count_at + 2], total_steps))
     return ends
 
 
 @pytest.mark.parametrize("seconds", [100, pytest.param(3600, marks=pytest.mark.thorough)])
 def test_the_mount_follows_the_sky_with_an_error_below_1e_6(seconds: int) -> None:
     """mount.py slews both axes, then tracks for `seconds` at 15 arc seconds per second."""
-    hardware = ran("mount", ("3600)", f"{seconds})"))
+    hardware = run_example("mount", ("3600)", f"{seconds})"))
     per_arcsec = 200 * 64 * 3 * 144 / 1_296_000  # steps; 1296000 arc seconds are a turn
     ends = step_ends(hardware, 1)  # axes are in the order of their names: dec, ra
     hz = hardware.sim.tick_hz
     # the slew of ra ends at 54000 arc seconds
-    slewed = next(made for tick, made in ends if made >= 54_000 * per_arcsec)
-    track = [(tick, made) for tick, made in ends if made > slewed + 10][:-10]
+    slewed = next(total_steps for tick, total_steps in ends if total_steps >= 54_000 * per_arcsec)
+    track = [(tick, total_steps) for tick, total_steps in ends if total_steps > slewed + 10][:-10]
     (first_tick, first_steps), (last_tick, last_steps) = track[0], track[-1]
     assert last_tick - first_tick > (seconds - 10) * hz
     rate = (last_steps - first_steps) / per_arcsec / ((last_tick - first_tick) / hz)
     assert abs(rate / 15.0 - 1) < 1e-6
     # Nor is it ever off: each step within a thousandth of its interval.
     interval = hz / (15.0 * per_arcsec)
-    for tick, made in track:
-        assert abs(tick - first_tick - (made - first_steps) * interval) < interval / 1000 + 2
+    for tick, total_steps in track:
+        assert (
+            abs(tick - first_tick - (total_steps - first_steps) * interval) < interval / 1000 + 2
+        )
     assert hardware.steps()[0] == round(36_000 * per_arcsec)  # dec
 
 
 def test_the_scanner_triggers_its_camera_after_equal_steps_without_a_stop() -> None:
-    hardware = ran("scanner")
+    hardware = run_example("scanner")
     on = [(tick, steps[0]) for tick, levels, steps in hardware.outputs if levels]
     assert len(on) == 36
     steps_per_photo = 10 * 200 * 16 * 4 / 360  # 10 degrees
@@ -101,25 +103,25 @@ DRAWING = """<svg><path id="one" d="M10,10 L30 10 30,20.5 z"/>
 def corners(hardware: SimHardware, pen: float = 0.0) -> "list[tuple[float, float]]":
     """Return the positions (mm) between moves with the pen down. pen: its steps when down; axes:
     pen, x, y, with 80 steps per mm."""
-    places, steps, dirs = [], [0, 0, 0], 0
+    corners_mm, steps, dirs = [], [0, 0, 0], 0
     for _, row in hardware.made:
         steps_before = tuple(steps)
         for i in range(3):
             count = row[ROW_AXES + 3 * i]
             steps[i] += -count if row[1] >> i & 1 else count
         if steps[0] == pen and steps_before != tuple(steps):
-            places.append((steps[1] / 80, -steps[2] / 80))
+            corners_mm.append((steps[1] / 80, -steps[2] / 80))
         dirs = row[1]
     assert dirs >= 0
-    return places
+    return corners_mm
 
 
 def test_the_plotter_draws_the_paths(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The corners of the paths are reached within 0.5 mm; places off them are not."""
     (tmp_path / "drawing.svg").write_text(DRAWING)
     monkeypatch.chdir(tmp_path)
-    places = corners(ran("plotter"))
-    distance = lambda x, y: min(abs(x - a) + abs(y - b) for a, b in places)  # noqa: E731
+    corners_mm = corners(run_example("plotter"))
+    distance = lambda x, y: min(abs(x - a) + abs(y - b) for a, b in corners_mm)  # noqa: E731
     for place in ((10, 10), (30, 10), (30, 20.5), (20, 15.25), (5, 5), (9.5, 0.5), (10.5, -0.5)):
         assert distance(*place) < 0.5, place
     assert distance(6.125, 2.1) < 0.6  # on the curve
@@ -128,11 +130,11 @@ def test_the_plotter_draws_the_paths(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 def test_the_drawing_of_the_example_is_drawn_and_ends_with_the_pen_up() -> None:
-    hardware = ran("plotter")
+    hardware = run_example("plotter")
     assert hardware.steps()[0] == 800  # the pen, up
-    places = corners(hardware)
+    corners_mm = corners(hardware)
     # size of the drawing, mm
-    assert max(x for x, _ in places) == 55 and max(y for _, y in places) == 45
+    assert max(x for x, _ in corners_mm) == 55 and max(y for _, y in corners_mm) == 45
 
 
 @pytest.mark.parametrize("name", ["plotter", "scanner"])

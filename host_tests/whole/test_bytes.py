@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from base.text import text_of
-from byte_bench import BOARDS, MICROPYTHONS, furnish, talk
+from byte_bench import BOARDS, MICROPYTHONS, send_foreign_bytes, write_initial_files
 from extras.dialects import dialect_hal
 from micropython_runner import needs_micropython, run_micropython
 from ports.storage.job_files import JobFiles
@@ -35,11 +35,11 @@ def test_any_byte_in_any_place_is_answered(
     complete()  # add the functions of MicroPython to `time`
     monkeypatch.chdir(tmp_path)
     folder = str(tmp_path / "board")
-    furnish(folder)  # job files, custom modules and texts for this board
+    write_initial_files(folder)  # job files, custom modules and texts for this board
     # As on a board: a simulator made by another test has replaced this function.
     monkeypatch.setattr(dialect_hal, "texts", lambda: open(f"{folder}/{dialect_hal.FILE}", "rb"))
     seed = sum(board.encode())
-    lines_sent = talk(board, folder, seed, how_many=None if _EVERY else 2)
+    lines_sent = send_foreign_bytes(board, folder, seed, how_many=None if _EVERY else 2)
     assert lines_sent > 150
 
 
