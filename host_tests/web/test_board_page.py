@@ -36,25 +36,25 @@ class Board:
             stdout=subprocess.PIPE,
             env=as_users(PYTHONUNBUFFERED="1"),
         )
-        self.said = b""
+        self.received = b""
         threading.Thread(target=self._read, daemon=True).start()
-        self.address = self.finds(rb"its page is at (http\S+)")
-        self.key = self.finds(rb"\[MSG:Network key: (\w+)\]")
+        self.address = self.wait_for(rb"its page is at (http\S+)")
+        self.key = self.wait_for(rb"\[MSG:Network key: (\w+)\]")
 
     def _read(self) -> None:
         out: Any = self.process.stdout
         while data := out.read1(4096):
-            self.said += data
+            self.received += data
 
-    def finds(self, pattern: bytes) -> str:
+    def wait_for(self, pattern: bytes) -> str:
         """Wait until the pattern is received over USB; return its group."""
         until = time.monotonic() + _PATIENCE_S
-        while not (found := re.search(pattern, self.said)):
-            assert time.monotonic() < until, self.said
+        while not (found := re.search(pattern, self.received)):
+            assert time.monotonic() < until, self.received
             time.sleep(0.05)
         return found[1].decode()
 
-    def say(self, text: bytes) -> None:
+    def send(self, text: bytes) -> None:
         """Send text over USB."""
         assert self.process.stdin
         self.process.stdin.write(text)
@@ -68,9 +68,9 @@ class Board:
 @pytest.fixture(scope="module")
 def board(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Board]:
     """The board of all tests here; each test finds the state that the one before left."""
-    made = Board(settings_file(tmp_path_factory.mktemp("board"), SETTINGS))
-    yield made
-    made.close()
+    simulated_board = Board(settings_file(tmp_path_factory.mktemp("board"), SETTINGS))
+    yield simulated_board
+    simulated_board.close()
 
 
 @pytest.fixture
@@ -79,7 +79,7 @@ def visit(opened: Any, board: Board, tmp_path: Path) -> Iterator[Callable[..., V
     contexts: list[Any] = []
     visitors: list[Visitor] = []
 
-    def come() -> Visitor:
+    def open_page() -> Visitor:
         """Open the page in a new browser context; wait until it is drawn."""
         contexts.append(opened.new_context(viewport={"width": 1200, "height": 800}))
         visitors.append(Visitor(contexts[-1].new_page(), tmp_path))
@@ -87,7 +87,7 @@ def visit(opened: Any, board: Board, tmp_path: Path) -> Iterator[Callable[..., V
         visitors[-1].page.wait_for_selector("#state-name", timeout=30_000)
         return visitors[-1]
 
-    yield come
+    yield open_page
     for context in contexts:
         context.close()
     assert not [fault for visitor in visitors for fault in visitor.faults], "the script failed"
@@ -117,7 +117,7 @@ def test_page_served_by_board_reads_at_once_and_controls_with_key(
     assert board.key not in person.page.url
 
 
-def unlocked(board: Board, person: Visitor) -> Visitor:
+def enter_key(board: Board, person: Visitor) -> Visitor:
     """Enter the key, wait for the machine's answers, and return the same person."""
     person.page.fill("#notice-key input", board.key)
     person.page.keyboard.press("Enter")
@@ -127,7 +127,7 @@ def unlocked(board: Board, person: Visitor) -> Visitor:
 
 def test_key_typed_in_console_is_not_shown(board: Board, visit: Callable[..., Visitor]) -> None:
     """The log masks the key, and the console's history does not keep the line."""
-    person = unlocked(board, visit())
+    person = enter_key(board, visit())
     person.types(f"$NET/KEY={board.key}")
     person.reads("#log", "> $NET/KEY=…")
     assert board.key not in person.page.content()
@@ -137,7 +137,7 @@ def test_key_typed_in_console_is_not_shown(board: Board, visit: Callable[..., Vi
 
 def test_job_is_run_held_and_ended_from_page(board: Board, visit: Callable[..., Visitor]) -> None:
     """The page sends a program to the board over the network; Hold and Resume work meanwhile."""
-    person = unlocked(board, visit())
+    person = enter_key(board, visit())
     person.types("G92 X0 Y0")
     # 14 lines, the last one to X10 Y1.
     person.loads("G21 G90 F1200\n" + "".join(f"G1 X{i % 2 * 10} Y{i % 3}\n" for i in range(14)))
@@ -160,7 +160,7 @@ def test_second_page_watches_and_takes_over_after_first_was_silent(
 
     STOP works in both.
     """
-    one = unlocked(board, visit())
+    one = enter_key(board, visit())
     two = visit()
     two.page.fill("#notice-key input", board.key)
     two.page.keyboard.press("Enter")
@@ -181,7 +181,7 @@ def test_page_reloaded_while_machine_moves_changes_nothing(
     board: Board, visit: Callable[..., Visitor]
 ) -> None:
     """A move of 20 mm goes on to its end although the page is reloaded twice."""
-    person = unlocked(board, visit())
+    person = enter_key(board, visit())
     person.waits("grbl.work.length")
     start_x_mm = person.place()[0]
     person.types("G91 G1 X20 F300")  # 20 mm at 300 mm/min: four seconds
@@ -190,13 +190,13 @@ def test_page_reloaded_while_machine_moves_changes_nothing(
         person.page.reload()
         person.page.wait_for_selector("#state-name", timeout=30_000)
     person.sees("Idle")
-    unlocked(board, person)
+    enter_key(board, person)
     person.waits("grbl.work.length")
     assert person.place()[0] == pytest.approx(start_x_mm + 20, abs=0.01)
     person.types("G90")  # the board serves later tests, too
 
 
 def test_lost_board_is_reported(board: Board, visit: Callable[..., Visitor]) -> None:
-    person = unlocked(board, visit())
+    person = enter_key(board, visit())
     board.close()
     person.reads("#notice-lost", "The machine ends the lines it has been given")

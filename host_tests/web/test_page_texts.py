@@ -2,7 +2,7 @@
 
 TABLES[code] has for each English text of the page its translation into a language. SHOWN are the
 English texts that the page can show. A `Reader` is a person at the page in another language:
-looks() adds each English word that is visible to its set `left`.
+collect_english() adds each English word that is visible to its set `english_left`.
 """
 
 import json
@@ -189,12 +189,12 @@ class Reader(Person):
     """A person who collects the English words that the page shows."""
 
     english: "set[str]"
-    left: "set[str]"
+    english_left: "set[str]"
 
-    def looks(self) -> None:
+    def collect_english(self) -> None:
         for text in self.page.evaluate(_READ, _OTHER):
             if wrong := self.english & words(text):
-                self.left.add(f"{sorted(wrong)} in {text!r}")
+                self.english_left.add(f"{sorted(wrong)} in {text!r}")
 
 
 def words(text: str) -> "set[str]":
@@ -210,35 +210,35 @@ def sets_up(reader: Reader) -> None:
     page.evaluate(
         "() => { for (const one of document.querySelectorAll('details')) one.open = true; }"
     )
-    reader.looks()
+    reader.collect_english()
     for chip in page.evaluate("() => Object.keys(BOARDS.chips)"):
         reader.click("#setup-steps [data-step=board]")
         page.select_option("#board-chip", chip)
-        reader.looks()
+        reader.collect_english()
         reader.click("#board-cards button.main")
-        reader.looks()
+        reader.collect_english()
     # As if pin 0 were selected for the first step output.
     page.evaluate("() => givePin(0, 'STEP 0')")
     page.fill("#own-name", "vacuum")
     reader.click("#own-pins button[value=outputs]")
-    reader.looks()
+    reader.collect_english()
     for name in page.evaluate("() => Object.keys(BOARDS.boards)"):
         page.evaluate("name => chooseBoard(name)", name)
-        reader.looks()
+        reader.collect_english()
     page.evaluate("() => chooseBoard('rpi_pico')")
     reader.click("#setup-steps [data-step=options]")
     page.evaluate(
         "() => { for (const one of document.querySelectorAll('details')) one.open = true; }"
     )
-    reader.looks()
+    reader.collect_english()
     for name in ("board.py", "custom.py"):
         reader.click("#setup-steps [data-step=file]")
         page.select_option("#file-name", name)
-        reader.looks()
+        reader.collect_english()
     reader.click("#setup-steps [data-step=guide]")
     for index in range(page.locator("#guide-tasks button").count()):
         page.locator("#guide-tasks button").nth(index).click()
-        reader.looks()
+        reader.collect_english()
 
 
 def jobs(reader: Reader) -> None:
@@ -247,37 +247,37 @@ def jobs(reader: Reader) -> None:
     These are the questions, the end, a refused line, a tool change, and the stored files.
     """
     reader.loads("G21 G90\nG0 X1\nG1 X2 F300\nM3 S100\nG1 Y2\n")
-    reader.looks()
+    reader.collect_english()
     reader.page.fill("#from", "5")
     # Both ask before they start: line 5 is not the first line.
     for button in ("#run", "#outline"):
         reader.click(button)
         reader.waits("document.getElementById('dialog').open")
-        reader.looks()
+        reader.collect_english()
         reader.click("#dialog-no")
     reader.page.fill("#from", "1")
     reader.click("#check")
     reader.waits("job?.state === 'done'")
-    reader.looks()
+    reader.collect_english()
     reader.sees("Idle")
     reader.loads("G21 G90\nG1 X2 F300\nG1 X3 Q7\n", "refused.nc")
     reader.click("#run")
     reader.waits("job?.state === 'refused' && job.rests")
-    reader.looks()
+    reader.collect_english()
     reader.click("#end")
     reader.waits("job.state === 'stopped'")
-    reader.looks()
+    reader.collect_english()
     reader.sees("Idle")
     reader.loads("G21 G90\nT1 M6\nG1 X2 F300\n", "tools.nc")
     reader.click("#run")
     reader.waits("!document.getElementById('tool-change').hidden")
-    reader.looks()
+    reader.collect_english()
     reader.click("#tool-end")
     reader.waits("job.state === 'stopped'")
     reader.sees("Idle")
     reader.click("#board-files")
     reader.reads("#files-words", ".")
-    reader.looks()
+    reader.collect_english()
 
 
 @pytest.mark.thorough
@@ -294,27 +294,27 @@ def test_no_english_is_left(person_at: Callable[..., Person], code: str) -> None
     # Words of the English texts that no translation uses.
     reader.english = set().union(*map(words, table)) - set().union(*map(words, table.values()))
     reader.english -= _TERMS
-    reader.left = set()
+    reader.english_left = set()
     reader.open_from_disk()
     assert reader.page.evaluate("document.documentElement.lang") == code
-    reader.looks()
+    reader.collect_english()
     reader.connect()
     for tab in ("job", "console", "settings", "offsets"):
         reader.click(f"#tabs [data-tab={tab}]")
-        reader.looks()
+        reader.collect_english()
     for index in range(reader.page.locator("#probe-kinds button").count()):
         reader.page.locator("#probe-kinds button").nth(index).click()
-        reader.looks()
+        reader.collect_english()
     reader.click("#macros-edit")
     reader.click("#macro-add")
-    reader.looks()
+    reader.collect_english()
     sets_up(reader)
     jobs(reader)
     reader.types("$J=G91X1")  # refused: no feed
     reader.click("#tabs [data-tab=job]")
-    reader.looks()
+    reader.collect_english()
     for number in reader.page.evaluate("() => Object.keys(WORDS.alarms)"):
         # Each alarm, as if the machine had sent it.
         reader.page.evaluate("number => grbl.tell('alarm', Number(number))", number)
-        reader.looks()
-    assert not reader.left
+        reader.collect_english()
+    assert not reader.english_left

@@ -61,7 +61,7 @@ def test_laser_outline_runs_at_1_percent_and_ends_off(person_at):
     person.click("#dialog-yes")
     person.sees("Run")
     person.waits("!grbl.linesUnderWay && grbl.state === 'Idle' && grbl.modes.includes('M5')")
-    assert "G1 X40 Y5 F2000 M3 S10" in person.machine.lines()
+    assert "G1 X40 Y5 F2000 M4 S10" in person.machine.lines()
     assert person.machine.lines().index("M5 G0") > 0  # the laser is switched off, and G1 is left
 
 

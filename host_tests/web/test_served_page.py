@@ -60,19 +60,19 @@ def visit(opened: Any, web: Web, tmp_path: Path) -> Iterator[Visit]:
     contexts: list[Any] = []
     visitors: list[Visitor] = []
 
-    def come(address: str = "", **screen: Any) -> Visitor:
+    def open_page(address: str = "", **screen: Any) -> Visitor:
         contexts.append(opened.new_context(**{"viewport": DESKTOP, **screen}))
         visitors.append(Visitor(contexts[-1].new_page(), tmp_path))
         visitors[-1].page.goto(address or web.address)
         return visitors[-1]
 
-    yield come
+    yield open_page
     for context in contexts:
         context.close()
     assert not [fault for visitor in visitors for fault in visitor.faults], "the script failed"
 
 
-def free(visitor: Visitor) -> Visitor:
+def make_idle(visitor: Visitor) -> Visitor:
     """Bring the machine from any state to Idle; its position is then undefined."""
     visitor.waits("grbl.drives && grbl.state")
     # Resets the machine and waits for its welcome and a status report.
@@ -90,7 +90,7 @@ def opens_example(visitor: Visitor) -> None:
     visitor.reads("#job-words", "It takes 9 min")
 
 
-def keep(visitor: Visitor, name: str) -> None:
+def compare_screenshot(visitor: Visitor, name: str) -> None:
     """Compare a screenshot with the saved picture of that name.
 
     With UGRBL_PICTURES set, the picture is replaced first.
@@ -128,7 +128,7 @@ def test_pins_are_chosen_in_drawing_without_board(visit: Visit) -> None:
     person.reads("#pins-says", "No rule is broken")
     # The step output of motor 3, counted from 0.
     assert person.page.input_value("#pin-19") == "STEP 3"
-    keep(person, "page_pins.png")
+    compare_screenshot(person, "page_pins.png")
 
 
 def test_example_runs_from_first_click_to_last(visit: Visit, web: Web) -> None:
@@ -174,7 +174,7 @@ def test_example_runs_from_first_click_to_last(visit: Visit, web: Web) -> None:
     person.reads("#dialog", "spindle on: M3 S12000")
     person.click("#dialog-yes")
     person.waits(f"job?.line > {FROM_LINE + 15}")
-    keep(person, "page.png")
+    compare_screenshot(person, "page.png")
     person.click("#end")
     person.reads("#job-words", "it was ended; the position is kept")
     person.sees("Idle")
@@ -188,7 +188,7 @@ def test_travel_violation_is_shown_before_run(visit: Visit) -> None:
 
     They are no longer named once zero or the travel is changed so that the program fits.
     """
-    person = free(visit())
+    person = make_idle(visit())
     person.homes()
     person.click("#zero-all")
     person.rests_at(0, 0, 0)
@@ -214,7 +214,7 @@ def test_second_browser_watches_until_it_takes_over(visit: Visit) -> None:
 
     The first browser watches then.
     """
-    first = free(visit())
+    first = make_idle(visit())
     first.homes()
     phone = visit(viewport=PHONE, color_scheme="dark", has_touch=True, is_mobile=True)
     phone.reads("#notice-watch", "Another browser drives this machine")
@@ -229,7 +229,7 @@ def test_second_browser_watches_until_it_takes_over(visit: Visit) -> None:
     phone.page.tap("[data-jog='X+']")
     phone.waits("String(grbl.machine) === '-1,-1,-1' && grbl.state === 'Idle'")
     first.waits("String(grbl.machine) === '-1,-1,-1'")
-    keep(phone, "page_phone.png")
+    compare_screenshot(phone, "page_phone.png")
 
 
 def long_job() -> str:
@@ -242,7 +242,7 @@ def test_page_reloaded_in_job_finds_it_held_and_continues(visit: Visit) -> None:
 
     The job, stored on the server, can be continued.
     """
-    person = free(visit())
+    person = make_idle(visit())
     person.homes()
     person.loads(long_job())
     person.reads("#job-words", "It takes")
@@ -266,7 +266,7 @@ def test_page_reloaded_in_job_finds_it_held_and_continues(visit: Visit) -> None:
 
 def test_job_is_visible_to_all_and_continued_after_takeover(visit: Visit) -> None:
     """A second browser sees the job of the first, takes control, and continues it."""
-    first, second = free(visit()), visit()
+    first, second = make_idle(visit()), visit()
     first.homes()
     first.loads(long_job(), "other.nc")
     second.reads("#job-name", "other.nc, 42 lines")
@@ -290,7 +290,7 @@ def test_line_refused_before_takeover_is_shown_to_next_client(visit: Visit) -> N
 
     The answer itself went to the page before.
     """
-    person = free(visit())
+    person = make_idle(visit())
     person.homes()
     person.loads("G21 G91 F300\n" + "G1 X-2\nG1 X2\n" * 12 + "G999\nG1 Y-3\n")
     person.reads("#problems", "Line 26 error:20")
@@ -311,7 +311,7 @@ def test_line_refused_before_takeover_is_shown_to_next_client(visit: Visit) -> N
 
 def test_page_closed_in_jog_ends_jog(visit: Visit) -> None:
     """The server cancels a held jog when its browser is closed."""
-    person, watcher = free(visit()), visit()
+    person, watcher = make_idle(visit()), visit()
     person.homes()
     person.press("[data-jog='X-']")
     watcher.waits("grbl.state === 'Jog' && grbl.machine[0] < -3")
@@ -344,7 +344,7 @@ def test_browser_from_network_needs_token(visit: Visit) -> None:
 
 def test_page_reloaded_in_tool_change_pauses_again(visit: Visit) -> None:
     """A page reloaded during a tool change offers the job again, and asks for the tool again."""
-    person = free(visit())
+    person = make_idle(visit())
     person.homes()
     person.click("#zero-all")
     person.rests_at(0, 0, 0)
@@ -356,7 +356,7 @@ def test_page_reloaded_in_tool_change_pauses_again(visit: Visit) -> None:
     person.waits("!document.getElementById('tool-change').hidden")
     person.reads("#tool-sends", "G1 G17 G21 G91")  # the modes that are restored after the change
     person.pauses(0.5)
-    keep(person, "page_tool_change.png")
+    compare_screenshot(person, "page_tool_change.png")
     person.page.on("dialog", lambda dialog: dialog.accept())
     person.page.reload()
     person.reads("#job-words", "the browser that sent it has gone")
@@ -381,7 +381,7 @@ def seconds(text: str) -> int:
 
 def with_zigzag(person: Visitor) -> Visitor:
     """Take control, home, set zero there, and load the program."""
-    free(person)
+    make_idle(person)
     person.homes()
     person.click("#zero-all")
     person.rests_at(0, 0, 0)

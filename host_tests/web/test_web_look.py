@@ -70,16 +70,16 @@ def test_time_path_and_lines_match_run(tmp_path: Path) -> None:
     assert found["times"][-1][1] == pytest.approx(found["seconds"], abs=0.05)
 
 
-def looks_with(folder: Path, *settings: "dict[str, Any]") -> "list[Any]":
+def previews_with_each(folder: Path, *settings: "dict[str, Any]") -> "list[Any]":
     """Return the preview of _SQUARE with the defaults, then with each of these settings."""
-    asked = [{"program": _SQUARE, "settings": each} for each in ({}, *settings)]
-    return [found for _, found in look(folder, *asked)]
+    requests = [{"program": _SQUARE, "settings": each} for each in ({}, *settings)]
+    return [found for _, found in look(folder, *requests)]
 
 
 def test_machine_settings_apply_as_texts_and_numbers(tmp_path: Path) -> None:
     # $999 does not exist and is ignored; $0 has no effect on the time.
     quick = {"110": "6000", "111": "6000.000", "120": 500, "121": "500", "999": "1", "0": "1"}
-    plain, faster = looks_with(tmp_path, quick)
+    plain, faster = previews_with_each(tmp_path, quick)
     assert faster["seconds"] < plain["seconds"] - 1
 
 
@@ -92,14 +92,14 @@ def test_invalid_machine_settings_are_ignored(tmp_path: Path) -> None:
     refused_or_unknown: dict[str, Any] = {"111": "-1", "999": "2e38"}
     invalid = {**no_numbers, **no_values, **beyond_single_precision, **refused_or_unknown}
     # The preview with the defaults, and with the invalid settings.
-    plain, same = looks_with(tmp_path, invalid)
+    plain, same = previews_with_each(tmp_path, invalid)
     assert same == plain
 
 
 def test_settings_that_move_nothing_leave_the_preview_unchanged(tmp_path: Path) -> None:
     """Homing and soft limits ($22, $20) are left out; $13 is the reports' unit, $12 is of arcs."""
     settings: dict[str, Any] = {"22": "1", "20": "1", "12": "1e-9", "13": True}
-    plain, same = looks_with(tmp_path, settings)
+    plain, same = previews_with_each(tmp_path, settings)
     assert same == plain
 
 
@@ -199,19 +199,19 @@ def test_travel_violation_is_reported_in_preview(tmp_path: Path) -> None:
 
 def test_reported_travel_violation_matches_machine() -> None:
     """The firmware's own soft limits refuse the same line."""
-    from ugrbl.web.preview import preview as looked
+    from ugrbl.web.preview import preview as make_preview
 
     # Half circles of radius 4 mm; that of line 20 ends at X-98, beyond the travel of 94.5 mm.
     program = "".join(f"G0 X{-10 * n}\nG2 X{-10 * n - 8} I-4 F900\n" for n in range(12))
     settings = {"20": "1", "22": "1", "130": "94.5", "131": "50", "132": "50", "110": "6000"}
-    preview = looked({"program": program, "settings": settings, "place": [0, -10, 0]}, "sim")
+    preview = make_preview({"program": program, "settings": settings, "place": [0, -10, 0]}, "sim")
     setting_lines = [f"${n}={settings[n]}" for n in ("22", "20", "130", "131", "132", "110")]
     result, _ = run_program(
         program.encode().splitlines(), settings=[*setting_lines, "G90 G0 Y-10"]
     )
     assert result.stopped == "ALARM:2"
-    # other_output: rows of line and text; the last one is the alarm.
-    assert [row["line"] for row in preview["problems"]] == [result.other_output[-1][0]] == [20]
+    alarm_line, _text = result.other_output[-1]
+    assert [row["line"] for row in preview["problems"]] == [alarm_line] == [20]
 
 
 def test_refused_lines_are_named_with_meaning(tmp_path: Path) -> None:

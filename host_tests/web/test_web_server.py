@@ -226,14 +226,14 @@ async def test_unknown_messages_are_ignored(words: str, board: FakeBoard, tmp_pa
 LOSSES = ["closed", "crashed", "gave up", "server ended"]
 
 
-@pytest.mark.parametrize("how", LOSSES)
+@pytest.mark.parametrize("way_of_loss", LOSSES)
 @pytest.mark.parametrize(
     ("state", "stop_bytes"),
     [("Run", b"!"), ("Jog", b"\x85"), ("Idle", b""), ("Hold:0", b""), ("Alarm", b"")],
 )
 @played
 async def test_machine_of_lost_client_is_stopped_once(
-    how: str, state: str, stop_bytes: bytes, board: FakeBoard, tmp_path: Path
+    way_of_loss: str, state: str, stop_bytes: bytes, board: FakeBoard, tmp_path: Path
 ) -> None:
     """A running machine is held, and a jog cancelled, once when its client is lost.
 
@@ -245,8 +245,8 @@ async def test_machine_of_lost_client_is_stopped_once(
         board.say(b",0|FS:0,0>\r\nok\r\n<Idle|")  # half a report does not count
         await watcher.wait("<Idle|")
         await driver.send(b"G1")  # an unfinished line, which is dropped
-        await _lose(how, site, driver)
-        if how != "server ended":
+        await _lose_driver(way_of_loss, site, driver)
+        if way_of_loss != "server ended":
             await watcher.told(drivers=0)
             watcher.vanish()
             await asyncio.sleep(0.1)
@@ -258,13 +258,13 @@ async def test_machine_of_lost_client_is_stopped_once(
     assert any(state in line for line in site.log) == bool(stop_bytes)
 
 
-async def _lose(how: str, site: Site, driver: Page) -> None:
-    """Lose the controlling client in this way."""
-    if how == "closed":
+async def _lose_driver(way_of_loss: str, site: Site, driver: Page) -> None:
+    """End the connection of the controlling client, or its control, in this way."""
+    if way_of_loss == "closed":
         await driver.leave()
-    elif how == "crashed":
+    elif way_of_loss == "crashed":
         driver.vanish()
-    elif how == "gave up":
+    elif way_of_loss == "gave up":
         await driver.drive(False)
     else:
         await site.server.stop()

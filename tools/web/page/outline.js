@@ -17,7 +17,7 @@ function cutBox(path) {
   return low[0] <= high[0] ? [low, high] : null;
 }
 
-/** Lines that go round a box at a feed in mm/min. A spindle's tool is raised first; a laser is on at low power.
+/** Lines that go round a box at a feed in mm/min. A spindle's tool is raised first; a laser is on at low power, by M4: dark at rest.
  * laser: S for its power, or null. */
 function outlineLines([low, high], feed, { up, laser }) {
   const corners = [[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]], [low[0], low[1]]];
@@ -26,7 +26,7 @@ function outlineLines([low, high], feed, { up, laser }) {
     const raise = up === null ? [] : [`$J=G21 G90 Z${millimetres(up)} F${feed}`];
     return [...raise, ...words.map((place) => `$J=G21 G90 ${place} F${feed}`)];
   }
-  return [`G21 G90 G0 ${words[0]}`, ...words.slice(1).map((place, index) => `G1 ${place}${index ? "" : ` F${feed} M3 S${laser}`}`), "M5 G0"];
+  return [`G21 G90 G0 ${words[0]}`, ...words.slice(1).map((place, index) => `G1 ${place}${index ? "" : ` F${feed} M4 S${laser}`}`), "M5 G0"];
 }
 
 $("outline").onclick = () => alone(async () => {

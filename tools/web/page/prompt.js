@@ -30,8 +30,6 @@ if binascii.hexlify(hashlib.sha256(text).digest()) != b"${checksum}":
     raise ValueError("the file was damaged on its way")
 made = compile(text, "${name}", "exec")
 ${name === "board.py" ? "exec(made, {})" : ""}
-if "${name}" in os.listdir("/"):
-    os.remove("/${name}")
 os.rename("/new.py", "/${name}")
 `;
 
