@@ -45,15 +45,15 @@ _BOARDS = ("rpi_pico", *_ARM, "esp32_devkit", "mks_dlc32")
 
 
 @pytest.fixture(scope="module")
-def made() -> build.Build:
+def pico_build() -> build.Build:
     """Return the build of the board rpi_pico."""
     return build.for_board(board_file("rpi_pico"))
 
 
 @pytest.fixture(scope="module")
-def frozen(made: build.Build) -> str:
+def frozen(pico_build: build.Build) -> str:
     """Return the id of that build, with which frozen firmware is compared."""
-    return made.id
+    return pico_build.id
 
 
 # Frozen files
@@ -134,7 +134,7 @@ def test_no_number_is_beyond_what_micropython_can_freeze() -> None:
         assert all(abs(n) < 3.4e38 for n in numbers if isinstance(n, float)), name
 
 
-def test_build_names_the_frozen_firmware(made: build.Build, frozen: str) -> None:
+def test_build_names_the_frozen_firmware(pico_build: build.Build, frozen: str) -> None:
     content = freeze.for_board(board_file("rpi_pico")).files["base/frozen.mpy"]
     assert freeze.read(content.decode("latin-1")) == frozen
     assert freeze.read(build.texts()[freeze.HELPER]) == ""  # the sources name no build
@@ -336,14 +336,14 @@ def test_only_the_boards_own_files_lie_next_to_frozen_firmware(
 
 
 def test_files_are_used_before_frozen_firmware_of_another_build(
-    tmp_path: Path, made: build.Build
+    tmp_path: Path, pico_build: build.Build
 ) -> None:
     """01234567 is not the id of this build: all its files are put next to the frozen ones."""
     image, out = tmp_path / "firmware.uf2", tmp_path / "all.uf2"
     image.write_bytes(uf2.write(frozen_program("01234567")))
     result = ugrbl_uf2("--micropython", str(image), "-o", str(out))
     assert "build 01234567; files on the board take priority" in " ".join(result.output.split())
-    assert {*made.files} < {*after_a_drag(out.read_bytes())[1]}
+    assert {*pico_build.files} < {*after_a_drag(out.read_bytes())[1]}
 
 
 @pytest.mark.parametrize(
@@ -372,38 +372,40 @@ def test_uf2_that_cannot_keep_is_one_message_and_no_file(
 # ugrbl deploy
 
 
-def test_board_with_frozen_firmware_gets_its_board_file(made: build.Build, frozen: str) -> None:
+def test_board_with_frozen_firmware_gets_its_board_file(
+    pico_build: build.Build, frozen: str
+) -> None:
     """Only the board file and the list of files are written; a second deployment writes
     nothing."""
     board = FakeBoard(PICO._replace(frozen=frozen))
-    result = put(board, made)
+    result = put(board, pico_build)
     assert board.writes() == ["board.py", LIST]
     assert (result.frozen, result.runs_frozen) == (frozen, True)
-    assert put(board, made).unchanged == 1 and not board.writes()
+    assert put(board, pico_build).unchanged == 1 and not board.writes()
 
 
 def test_earlier_firmware_files_are_removed_and_user_files_stay(
-    made: build.Build, frozen: str
+    pico_build: build.Build, frozen: str
 ) -> None:
     """Deploy files to a board, then again after frozen firmware of the same build was put on it.
     main.py is removed first: without it the frozen firmware starts."""
     board = FakeBoard()
     board.disk["custom.py"] = b"# mine"
-    put(board, made)
+    put(board, pico_build)
     before = set(board.disk)
     board._about = PICO._replace(frozen=frozen)
-    put(board, made)
-    assert before - set(board.disk) == set(made.files) - {"board.py"}
+    put(board, pico_build)
+    assert before - set(board.disk) == set(pico_build.files) - {"board.py"}
     removed = [line for line in board.log if line.startswith("remove")]
-    assert removed[0] == "remove main.py" and len(removed) == len(made.files) - 1
+    assert removed[0] == "remove main.py" and len(removed) == len(pico_build.files) - 1
 
 
-def test_firmware_other_than_the_frozen_one_is_copied_as_files(made: build.Build) -> None:
+def test_firmware_other_than_the_frozen_one_is_copied_as_files(pico_build: build.Build) -> None:
     board = FakeBoard(PICO._replace(frozen="01234567"))
-    result = put(board, made)
+    result = put(board, pico_build)
     assert (result.frozen, result.runs_frozen) == ("01234567", False)
     # main.py is written last: it starts the files
-    assert {*made.files} < {*board.disk} and board.writes()[-1] == "main.py"
+    assert {*pico_build.files} < {*board.disk} and board.writes()[-1] == "main.py"
 
 
 @pytest.mark.parametrize(
@@ -415,13 +417,15 @@ def test_deploy_reports_which_firmware_runs(runs: bool, said: str) -> None:
     assert cli_deploy._frozen(Result()) == []
 
 
-def test_foreign_main_py_is_not_lost_to_frozen_firmware(made: build.Build, frozen: str) -> None:
+def test_foreign_main_py_is_not_lost_to_frozen_firmware(
+    pico_build: build.Build, frozen: str
+) -> None:
     """A user's main.py is removed only with replace=True."""
     board = FakeBoard(PICO._replace(frozen=frozen))
     board.disk["main.py"] = b"# mine"
     with pytest.raises(DeployError, match=r"main\.py was not put on the board"):
-        put(board, made)
-    put(board, made, replace=True)
+        put(board, pico_build)
+    put(board, pico_build, replace=True)
     assert "main.py" not in board.disk
 
 

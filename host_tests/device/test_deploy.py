@@ -52,7 +52,7 @@ def ugrbl(*words: object) -> Result:
 
 
 @pytest.fixture(scope="module")
-def made() -> build.Build:
+def pico_build() -> build.Build:
     """Return the build for a Raspberry Pi Pico."""
     return build.for_board(files.board_file("rpi_pico"))
 
@@ -127,16 +127,16 @@ class Silent:
         self.done += count
 
 
-def put(board: FakeBoard, made: build.Build, **options: Any) -> Any:
+def put(board: FakeBoard, to_deploy: build.Build, **options: Any) -> Any:
     """Deploy; return the result. The log begins anew."""
     board.log.clear()
-    return deploy(board, made, Silent(), **options)
+    return deploy(board, to_deploy, Silent(), **options)
 
 
-def with_changed_files(made: build.Build, *paths: str) -> build.Build:
+def with_changed_files(original: build.Build, *paths: str) -> build.Build:
     """Return the same build with these files changed or added."""
     changed_files = {path: _MPY_START + path.encode() for path in paths}
-    return build.Build(made.arch, {**made.files, **changed_files})
+    return build.Build(original.arch, {**original.files, **changed_files})
 
 
 # Files of a board
@@ -242,13 +242,13 @@ def test_every_choice_is_an_existing_module_and_used_by_some_board() -> None:
     assert "pio.state_layout" in unused
 
 
-def test_main_and_board_file_are_not_compiled(made: build.Build) -> None:
-    assert made.files["main.py"] == (build.paths.FIRMWARE / "main.py").read_bytes()
-    assert made.files["board.py"] == files.board_file("rpi_pico").read_bytes()
-    others = set(made.files) - {"main.py", "board.py"}
+def test_main_and_board_file_are_not_compiled(pico_build: build.Build) -> None:
+    assert pico_build.files["main.py"] == (build.paths.FIRMWARE / "main.py").read_bytes()
+    assert pico_build.files["board.py"] == files.board_file("rpi_pico").read_bytes()
+    others = set(pico_build.files) - {"main.py", "board.py"}
     assert all(name.endswith(".mpy") for name in others)
     # The .mpy version is in the low byte, the processor from bit 10 on: 4 is armv6m.
-    assert build.signature(made) & 0xFF == 6 and build.signature(made) >> 10 == 4
+    assert build.signature(pico_build) & 0xFF == 6 and build.signature(pico_build) >> 10 == 4
 
 
 # The command build
@@ -362,31 +362,33 @@ def test_unknown_board_name_is_answered_with_the_known_ones() -> None:
 # Copied files
 
 
-def test_new_board_gets_all_files_and_main_last(made: build.Build) -> None:
+def test_new_board_gets_all_files_and_main_last(pico_build: build.Build) -> None:
     """view.total: bytes announced; view.done: bytes written."""
     board, view = FakeBoard(), Silent()
-    result = deploy(board, made, view)
-    assert sorted(result.copied) == sorted(made.files) and result.removed == []
-    assert {path: board.disk[path] for path in made.files} == made.files
+    result = deploy(board, pico_build, view)
+    assert sorted(result.copied) == sorted(pico_build.files) and result.removed == []
+    assert {path: board.disk[path] for path in pico_build.files} == pico_build.files
     assert board.writes()[-1] == "main.py" and board.log[-1] == "restart"
     assert board.log.index("folder pio") < board.log.index("write pio/engine.mpy")
-    assert result.bytes == made.bytes == view.total == view.done
+    assert result.bytes == pico_build.bytes == view.total == view.done
     assert result.free_bytes == 60_000 and result.build == "1.1h.20261121:"
 
 
-def test_up_to_date_board_is_only_started(made: build.Build) -> None:
+def test_up_to_date_board_is_only_started(pico_build: build.Build) -> None:
     """The second deployment of the same build."""
     board = FakeBoard()
-    put(board, made)
-    result = put(board, made)
+    put(board, pico_build)
+    result = put(board, pico_build)
     assert board.log == ["enter", "restart"]
-    assert (result.copied, result.removed, result.unchanged) == ([], [], len(made.files))
+    assert (result.copied, result.removed, result.unchanged) == ([], [], len(pico_build.files))
 
 
-def test_only_changed_files_are_copied_and_main_is_removed_meanwhile(made: build.Build) -> None:
+def test_only_changed_files_are_copied_and_main_is_removed_meanwhile(
+    pico_build: build.Build,
+) -> None:
     board = FakeBoard()
-    put(board, made)
-    result = put(board, with_changed_files(made, "language/words.mpy"))
+    put(board, pico_build)
+    result = put(board, with_changed_files(pico_build, "language/words.mpy"))
     # with_changed_files() writes _MPY_START and the path, which has 18 characters.
     assert result.copied == ["language/words.mpy"] and result.bytes == len(_MPY_START) + 18
     assert board.log == [
@@ -395,62 +397,64 @@ def test_only_changed_files_are_copied_and_main_is_removed_meanwhile(made: build
     ]
 
 
-def test_settings_and_user_files_stay(made: build.Build) -> None:
+def test_settings_and_user_files_stay(pico_build: build.Build) -> None:
     """Deploy twice on a board with stored settings and files of the user."""
     board = FakeBoard()
     user_files = {"lib/mine.py": b"1", "my_tool.py": b"2", "boot.py": b"3"}
     board.disk.update(user_files)
-    put(board, made)
-    put(board, with_changed_files(made, "language/words.mpy"))
+    put(board, pico_build)
+    put(board, with_changed_files(pico_build, "language/words.mpy"))
     assert {**SETTINGS, **user_files}.items() <= board.disk.items()
 
 
-def test_sources_that_would_hide_compiled_files_are_removed(made: build.Build) -> None:
+def test_sources_that_would_hide_compiled_files_are_removed(pico_build: build.Build) -> None:
     """`mpremote cp -r firmware/. :/` leaves such sources; MicroPython imports a .py rather than
     the .mpy of the same name."""
     board = FakeBoard()
     for source in build.sources():
         board.disk[source] = (build.paths.FIRMWARE / source).read_bytes()
-    result = put(board, made)
+    result = put(board, pico_build)
     assert set(result.removed) == set(build.sources()) - {"main.py"}
-    assert set(board.disk) == {*made.files, *SETTINGS, LIST}
+    assert set(board.disk) == {*pico_build.files, *SETTINGS, LIST}
 
 
-def test_package_file_of_another_board_is_removed(made: build.Build) -> None:
+def test_package_file_of_another_board_is_removed(pico_build: build.Build) -> None:
     """A Pico has no modules of an ESP32."""
     board = FakeBoard()
     board.disk["esp_chip/__init__.mpy"] = b"M"
-    assert put(board, made).removed == ["esp_chip/__init__.mpy"]
+    assert put(board, pico_build).removed == ["esp_chip/__init__.mpy"]
 
 
-def test_kernels_of_another_board_are_removed_without_a_list(made: build.Build) -> None:
+def test_kernels_of_another_board_are_removed_without_a_list(pico_build: build.Build) -> None:
     """All files in the folder kernels are ours, even if LIST is missing."""
     board = FakeBoard()
     others = ["kernels/__init__.mpy", "kernels/extras_motors_jerk_kernel.mpy"]
     board.disk.update(dict.fromkeys(others, b"M"))
-    assert put(board, made).removed == others
+    assert put(board, pico_build).removed == others
 
 
-def test_files_of_another_board_are_removed(made: build.Build) -> None:
+def test_files_of_another_board_are_removed(pico_build: build.Build) -> None:
     board = FakeBoard()
-    put(board, with_changed_files(made, "esp_chip/rmt.mpy", "extras/tools/punch.mpy"))
-    assert put(board, made).removed == ["esp_chip/rmt.mpy", "extras/tools/punch.mpy"]
+    put(board, with_changed_files(pico_build, "esp_chip/rmt.mpy", "extras/tools/punch.mpy"))
+    assert put(board, pico_build).removed == ["esp_chip/rmt.mpy", "extras/tools/punch.mpy"]
 
 
-def test_module_of_older_firmware_is_removed_unless_it_was_changed(made: build.Build) -> None:
+def test_module_of_older_firmware_is_removed_unless_it_was_changed(
+    pico_build: build.Build,
+) -> None:
     """Both were deployed before, and are not in the new build; the content of one is not ours
     any more."""
     board = FakeBoard()
-    put(board, with_changed_files(made, "once.mpy", "twice.mpy"))
+    put(board, with_changed_files(pico_build, "once.mpy", "twice.mpy"))
     board.disk["twice.mpy"] = b"mine now"
-    assert put(board, made).removed == ["once.mpy"]
+    assert put(board, pico_build).removed == ["once.mpy"]
     assert board.disk["twice.mpy"] == b"mine now"
 
 
-def test_unreadable_list_removes_nothing(made: build.Build) -> None:
+def test_unreadable_list_removes_nothing(pico_build: build.Build) -> None:
     board = FakeBoard()
     board.disk.update({LIST: b"\xff rubbish\n\n", "mine.py": b""})
-    assert put(board, made).removed == []
+    assert put(board, pico_build).removed == []
 
 
 # The page
@@ -465,10 +469,10 @@ def with_page() -> build.Build:
 
 
 def test_only_a_board_that_serves_the_page_has_its_files(
-    made: build.Build, with_page: build.Build
+    pico_build: build.Build, with_page: build.Build
 ) -> None:
     page = page_files.made()
-    assert page.items() <= with_page.files.items() and not page.keys() & made.files.keys()
+    assert page.items() <= with_page.files.items() and not page.keys() & pico_build.files.keys()
     assert page["page.gz"] == page_files.made()["page.gz"], "the same each time"
     assert gzip.decompress(page["page.gz"]) == page_files.page(from_board=True).encode()
     assert {"ports/net/page.mpy", "ports/net/web_socket.mpy"} <= {*with_page.files}
@@ -513,34 +517,34 @@ def test_uf2_file_contains_the_page(with_page: build.Build) -> None:
 # The board's own board.py
 
 
-def test_board_file_changed_on_the_board_is_not_lost(made: build.Build) -> None:
+def test_board_file_changed_on_the_board_is_not_lost(pico_build: build.Build) -> None:
     """The user has edited board.py there: it is replaced only on request."""
     board = FakeBoard()
-    put(board, made)
+    put(board, pico_build)
     board.disk["board.py"] += b"PROBE = 28\n"
     with pytest.raises(DeployError, match="changed there since") as refused:
-        put(board, made)
+        put(board, pico_build)
     assert "--replace" in refused.value.todo and board.log == ["enter"]
-    assert put(board, made, replace=True).copied == ["board.py"]
+    assert put(board, pico_build, replace=True).copied == ["board.py"]
 
 
-def test_foreign_main_is_not_lost(made: build.Build) -> None:
+def test_foreign_main_is_not_lost(pico_build: build.Build) -> None:
     """A main.py that deploy has not written is replaced only on request (--replace)."""
     board = FakeBoard()
     board.disk["main.py"] = b"print('blink')"
     with pytest.raises(DeployError, match=r"main\.py was not put on the board"):
-        put(board, made)
+        put(board, pico_build)
     assert board.disk["main.py"] == b"print('blink')"
-    put(board, made, replace=True)
-    assert board.disk["main.py"] == made.files["main.py"]
+    put(board, pico_build, replace=True)
+    assert board.disk["main.py"] == pico_build.files["main.py"]
 
 
 def test_deployed_board_file_is_replaced_by_another(
-    made: build.Build,
+    pico_build: build.Build,
 ) -> None:
     board = FakeBoard()
-    put(board, made)
-    assert put(board, with_changed_files(made, "board.py")).copied == ["board.py"]
+    put(board, pico_build)
+    assert put(board, with_changed_files(pico_build, "board.py")).copied == ["board.py"]
 
 
 # Failures
@@ -557,64 +561,64 @@ def test_deployed_board_file_is_replaced_by_another(
     ],
 )
 def test_board_that_cannot_run_the_build_is_not_touched(
-    made: build.Build, about: About, said: str, todo: str
+    pico_build: build.Build, about: About, said: str, todo: str
 ) -> None:
     """mpy: what the board reports of the compiled files it loads: version in the low bits,
     processor from bit 10 on."""
     board = FakeBoard(about)
     with pytest.raises(DeployError, match=said) as refused:
-        put(board, made)
+        put(board, pico_build)
     assert todo in refused.value.todo
     assert board.log == ["enter"] and board.disk == SETTINGS
 
 
-def test_matching_board_is_accepted(made: build.Build) -> None:
-    check_fit(PICO, made)
+def test_matching_board_is_accepted(pico_build: build.Build) -> None:
+    check_fit(PICO, pico_build)
 
 
 def test_old_micropython_is_refused_before_anything_is_copied(
-    made: build.Build,
+    pico_build: build.Build,
 ) -> None:
     """The check at the end accepts the oldest version that is new enough."""
     board = FakeBoard(PICO._replace(version="1.25.0"))
     why = "MicroPython 1.25 is too old: ENGINE pio on RP2040 needs 1.26 or newer, for hard timer"
     with pytest.raises(DeployError, match=why) as refused:
-        put(board, made)
+        put(board, pico_build)
     assert "1.28" in refused.value.todo
     assert board.disk == SETTINGS and "restart" not in board.log
-    check_fit(PICO._replace(version="1.26.0"), made)
+    check_fit(PICO._replace(version="1.26.0"), pico_build)
 
 
-def test_full_board_is_reported_and_not_started(made: build.Build) -> None:
+def test_full_board_is_reported_and_not_started(pico_build: build.Build) -> None:
     """The flash has space for half of the build."""
-    board = FakeBoard(capacity_bytes=made.bytes // 2)
+    board = FakeBoard(capacity_bytes=pico_build.bytes // 2)
     with pytest.raises(DeployError, match=r"flash is full, at \w+") as refused:
-        put(board, made)
+        put(board, pico_build)
     assert "remove what you do not need" in refused.value.todo
     assert "main.py" not in board.disk and "restart" not in board.log
 
 
-def test_incomplete_deployment_is_completed(made: build.Build) -> None:
+def test_incomplete_deployment_is_completed(pico_build: build.Build) -> None:
     """The first one ends because flash is full; then there is space."""
-    board = FakeBoard(capacity_bytes=made.bytes // 2)
+    board = FakeBoard(capacity_bytes=pico_build.bytes // 2)
     with pytest.raises(DeployError):
-        put(board, made)
+        put(board, pico_build)
     board._capacity_bytes = 1_000_000
-    put(board, made)
-    assert {path: board.disk[path] for path in made.files} == made.files
+    put(board, pico_build)
+    assert {path: board.disk[path] for path in pico_build.files} == pico_build.files
 
 
 # The command deploy
 
 
 @pytest.fixture
-def plugged(monkeypatch: pytest.MonkeyPatch, made: build.Build) -> FakeBoard:
+def plugged(monkeypatch: pytest.MonkeyPatch, pico_build: build.Build) -> FakeBoard:
     """Let `ugrbl deploy` find this board, and use a finished build."""
     from ugrbl.device import deploy_device
 
     board = FakeBoard()
     monkeypatch.setattr(deploy_device, "MpremoteDevice", lambda port: board)
-    monkeypatch.setattr(build, "for_board", lambda file: made)
+    monkeypatch.setattr(build, "for_board", lambda file: pico_build)
     monkeypatch.setattr(ports, "choose", lambda port: port or "/dev/ttyACM7")
     return board
 
@@ -757,8 +761,8 @@ def test_unplugged_cable_is_reported(deploy_to_port: Callable[..., str]) -> None
 
 def test_package_json_lists_every_file_of_a_build_and_its_path(tmp_path: Path) -> None:
     """Each entry of urls: the path on the board, and the file next to package.json."""
-    made = build.for_board(build.paths.BOARDS / "rpi_pico.py")
-    save(made, tmp_path)
+    package = build.for_board(build.paths.BOARDS / "rpi_pico.py")
+    save(package, tmp_path)
     listed = json.loads((tmp_path / "package.json").read_text())["urls"]
-    assert {path for path, _ in listed} == set(made.files) and listed[-1][0] == "main.py"
-    assert all((tmp_path / source).read_bytes() == made.files[path] for path, source in listed)
+    assert {path for path, _ in listed} == set(package.files) and listed[-1][0] == "main.py"
+    assert all((tmp_path / source).read_bytes() == package.files[path] for path, source in listed)

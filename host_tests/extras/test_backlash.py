@@ -395,11 +395,11 @@ def test_run_reports_axes_and_counts_motor_steps(tmp_path: Path) -> None:
     file = tmp_path / "back.nc"
     file.write_text("G0X1\nG1X-2F900\nX0\n")
     words = ["run", str(file), "--board", "sim_backlash", "--set", "160=0.1"]
-    said = CliRunner().invoke(app, words)  # ugrbl run; $160 is 0.1 mm of backlash of X
-    assert said.exit_code == 0, said.output
+    result = CliRunner().invoke(app, words)  # ugrbl run; $160 is 0.1 mm of backlash of X
+    assert result.exit_code == 0, result.output
     # Steps: (1 + 3 + 2) mm * 250, and 25 of slack at each of two reversals. Reports have no slack.
-    assert "1550 commanded = 1550 made" in said.output
-    assert "-2.000 to 1.000 mm" in said.output and "6.0 mm" in said.output
+    assert "1550 commanded = 1550 made" in result.output
+    assert "-2.000 to 1.000 mm" in result.output and "6.0 mm" in result.output
 
 
 def test_board_without_backlash_has_none_of_the_modules() -> None:

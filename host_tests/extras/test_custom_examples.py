@@ -264,18 +264,18 @@ def test_tool_is_changed_with_everything_off_and_measured(shop: Make) -> None:
 def test_length_is_restored_after_a_reset_and_power_off(shop: Make) -> None:
     """The length of -35 mm (see with_tool_sensor()) is in $# after both."""
     cnc = with_tool_sensor(shop)
-    seen: list[Any] = []
+    offsets: list[Any] = []
 
     def script() -> "Iterator[Any]":
         """Measure a tool; reset while idle; read the offsets."""
         yield from cnc.start("T2 M6")
         yield from cnc.start("~", "Idle")  # the tool is in; it is measured
         yield from cnc.send("\x18", "banner")
-        seen.extend((yield from cnc.send("$#")))
+        offsets.extend((yield from cnc.send("$#")))
         yield from cnc.sender.silence(cnc.rig.now, 500)
 
     cnc.run(script())
-    assert "[TLO:-35.000]" in seen
+    assert "[TLO:-35.000]" in offsets
     cnc.power_up(cnc.rig.store)
     assert "[TLO:-35.000]" in cnc.reply_to("$#")
 
@@ -292,18 +292,18 @@ def test_pressed_sensor_is_reported_and_nothing_moves(shop: Make) -> None:
 def test_tool_that_does_not_touch_has_no_length(shop: Make) -> None:
     """Without a sensor the measurement fails (alarm 5) at Z-60; the old length of -20 is gone."""
     cnc = shop("tool_length")
-    seen: list[Any] = []
+    replies: list[Any] = []
 
     def script() -> "Iterator[Any]":
         """Change to tool 2; its measurement touches nothing; unlock, and read the offsets."""
         yield from cnc.send("G43.1 Z-20")
         yield from cnc.start("T2 M6")
         yield from cnc.start("~", "Alarm")
-        seen.extend((yield from cnc.send("$X")))
-        seen.extend((yield from cnc.send("$#")))
+        replies.extend((yield from cnc.send("$X")))
+        replies.extend((yield from cnc.send("$#")))
 
     cnc.run(script())
-    assert "ALARM:5" in cnc.answers and "[TLO:0.000]" in seen
+    assert "ALARM:5" in cnc.answers and "[TLO:0.000]" in replies
     assert cnc.position_mm()[2] == -60
 
 
@@ -338,8 +338,9 @@ def test_reset_during_the_measurement_stops_and_leaves_no_length(shop: Make) -> 
         seen.extend((yield from cnc.send("$#")))
 
     cnc.run(script())
-    assert seen[0] == seen[1] and seen[0] != (3.0, 60.0, -1.0)
-    assert "ALARM:3" in cnc.answers and "[TLO:0.000]" in seen
+    place_at_reset, place_later, *offsets = seen
+    assert place_at_reset == place_later and place_at_reset != (3.0, 60.0, -1.0)
+    assert "ALARM:3" in cnc.answers and "[TLO:0.000]" in offsets
 
 
 # Touch plate
@@ -459,7 +460,7 @@ def test_vacuum_follows_the_spindle_and_runs_on(shop: Make) -> None:
     cnc = shop("vacuum", **_VACUUM)
     seen: list[Any] = []
 
-    def look(ms: int) -> "Iterator[Any]":
+    def note_outputs(ms: int) -> "Iterator[Any]":
         """After so many ms, note whether vacuum and air are on."""
         yield cnc.rig.ms(ms)
         seen.append((cnc.is_on("vacuum"), cnc.is_on("air")))
@@ -470,14 +471,15 @@ def test_vacuum_follows_the_spindle_and_runs_on(shop: Make) -> None:
         since = cnc.rig.now
         yield from cnc.send("M3 S1000")
         seen.append((cnc.rig.now - since) / cnc.rig.ticks_per_ms > 2000)  # ms
-        yield from look(0)
+        yield from note_outputs(0)
         yield from cnc.send("G1 X10")
         yield from cnc.send("M5")
-        yield from look(100)
-        yield from look(4500)
-        yield from look(1000)
+        yield from note_outputs(100)
+        yield from note_outputs(4500)
+        yield from note_outputs(1000)
 
     cnc.run(script())
+    # M3 took 2 s; then (vacuum, air) after M3 and 0.1, 4.6 and 5.6 s after M5.
     assert seen == [True, (True, True), (True, False), (True, False), (False, False)]
     # X in mm where an output changed: both on, air off, vacuum off.
     assert [place[0] for _, _, place in cnc.output_changes] == [5, 5, 10, 10]
@@ -487,16 +489,16 @@ def test_vacuum_follows_the_spindle_and_runs_on(shop: Make) -> None:
 def test_end_of_a_program_ends_the_air_blast(shop: Make, end: str) -> None:
     """After M2 the vacuum runs on; a reset stops both at once."""
     cnc = shop("vacuum", **_VACUUM)
-    seen: list[bool] = []
+    air_and_vacuum: list[bool] = []
 
     def script() -> "Iterator[Any]":
         yield from cnc.send("M3 S1000")
         yield from cnc.send("G1 X50 F1000", "ms 50")
         yield from cnc.send(end, "ok" if end == "M2" else "banner")
-        seen.extend([cnc.is_on("air"), cnc.is_on("vacuum")])
+        air_and_vacuum.extend([cnc.is_on("air"), cnc.is_on("vacuum")])
 
     cnc.run(script())
-    assert seen == [False, end == "M2"]
+    assert air_and_vacuum == [False, end == "M2"]
 
 
 def test_laser_is_not_waited_for(shop: Make) -> None:
@@ -512,30 +514,30 @@ _LIGHT = {"OUTPUTS": {"green": 18, "yellow": 19, "well": 20, "buzzer": 21}}
 
 
 def test_stack_light_shows_the_state(shop: Make) -> None:
-    """seen: first letters of the lamps that are on.
+    """lamps: first letters of those that are on.
 
     They are green (it moves), yellow (it waits), and "well" (no alarm).
     """
     cnc = shop("stack_light", **_LIGHT)
-    seen: list[Any] = []
+    lamps: list[Any] = []
 
-    def look(text: str, how: str) -> "Iterator[Any]":
+    def send_and_note_lamps(text: str, how: str) -> "Iterator[Any]":
         """Send a text and wait as given, then note the lamps."""
         yield from cnc.send(text, how)
         yield cnc.rig.ms(100)  # the lamps are set
-        seen.append("".join([n[0] for n in cnc.outputs[:3] if cnc.is_on(n)]))
+        lamps.append("".join([n[0] for n in cnc.outputs[:3] if cnc.is_on(n)]))
 
     def script() -> "Iterator[Any]":
         """Look at the lamps while idle, in motion, in a hold, resumed, after a reset, unlocked."""
-        yield from look("", "ms 1")  # idle
-        yield from look("G1 X50 F600\n", "ms 500")
-        yield from look("!", "ms 500")
-        yield from look("~", "ms 100")
-        yield from look("\x18", "banner")  # during motion: alarm
-        yield from look("$X\n", "ms 50")
+        yield from send_and_note_lamps("", "ms 1")  # idle
+        yield from send_and_note_lamps("G1 X50 F600\n", "ms 500")
+        yield from send_and_note_lamps("!", "ms 500")
+        yield from send_and_note_lamps("~", "ms 100")
+        yield from send_and_note_lamps("\x18", "banner")  # during motion: alarm
+        yield from send_and_note_lamps("$X\n", "ms 50")
 
     cnc.run(script())
-    assert seen == ["w", "gw", "yw", "gw", "", "w"]
+    assert lamps == ["w", "gw", "yw", "gw", "", "w"]
 
 
 def test_buzzer_beeps_twice_in_alarm_and_again_later(shop: Make) -> None:
@@ -588,8 +590,9 @@ def test_parts_are_counted_over_power_off(shop: Make) -> None:
         seen.extend((yield from cnc.reports()))
 
     cnc.run(next_day())
-    assert seen[0].endswith("|Pn:2,3>") and seen[2].endswith("|Pn:0,3>")
-    assert seen[1] == "3 parts are made: empty the box, then cycle start"
+    report, message, report_after_m121 = seen
+    assert report.endswith("|Pn:2,3>") and report_after_m121.endswith("|Pn:0,3>")
+    assert message == "3 parts are made: empty the box, then cycle start"
 
 
 def test_fractional_number_of_parts_is_refused(shop: Make) -> None:
@@ -603,10 +606,7 @@ def test_fractional_number_of_parts_is_refused(shop: Make) -> None:
 
 @pytest.mark.parametrize("line", ["G0 X50", "G1 X50 F1500", "$J=G91 X50 F1500"])
 def test_guarded_probe_stops_at_an_obstacle(shop: Make, line: str) -> None:
-    """M114 P1 switches the guard on. The probe touches at X20: alarm 34; no step is lost.
-
-    seen: place after the stop, 2 s later, a report, place after a jog by -30 mm.
-    """
+    """M114 P1 switches the guard on. The probe touches at X20: alarm 34; no step is lost."""
     cnc = shop("guard", settings={110: 1500})
     cnc.switch(axis=0, above=True, mm=20)
     seen: list[Any] = []
@@ -628,9 +628,10 @@ def test_guarded_probe_stops_at_an_obstacle(shop: Make, line: str) -> None:
         seen.append(cnc.position_mm())
 
     cnc.run(script())
-    assert seen[0] == seen[1] and 20 <= seen[0][0] < 25 and seen[0][1] == 0
-    assert "MPos:%.3f," % seen[0][0] in seen[2]
-    assert seen[3][0] == pytest.approx(seen[0][0] - 30)
+    stopped_at, later_at, report, jogged_to = seen
+    assert stopped_at == later_at and 20 <= stopped_at[0] < 25 and stopped_at[1] == 0
+    assert "MPos:%.3f," % stopped_at[0] in report
+    assert jogged_to[0] == pytest.approx(stopped_at[0] - 30)
     assert cnc.messages[0].startswith("The probe has run into something at (20.")
     assert "ALARM:34" in cnc.answers
 
@@ -678,21 +679,21 @@ _FEEDER = {"OUTPUTS": {"feeder": 20}, "INPUTS": {"part": 21, "jam": 22}}
 def test_feeder_runs_until_a_part_lies_still(shop: Make) -> None:
     """M115 runs the feeder at X10, until the sensor "part" is closed. Then the job goes on."""
     cnc = shop("feeder", **_FEEDER)
-    seen: list[bool] = []
+    feeder_is_on: list[bool] = []
 
     def script() -> "Iterator[Any]":
         """M115 runs the feeder until the input "part" closes."""
         yield from cnc.send("G1 X10 F1000")
         yield from cnc.send("M115\nG1 X20\n", "ms 2000")  # X10 is reached, no part has come
-        seen.append(cnc.is_on("feeder"))
+        feeder_is_on.append(cnc.is_on("feeder"))
         cnc.close("part")
         yield cnc.rig.ms(100)  # the handler sees the part
-        seen.append(cnc.is_on("feeder"))
+        feeder_is_on.append(cnc.is_on("feeder"))
         yield from cnc.until("Run")
         yield from cnc.until("Idle")
 
     cnc.run(script())
-    assert seen == [True, False] and cnc.position_mm()[0] == 20
+    assert feeder_is_on == [True, False] and cnc.position_mm()[0] == 20
     assert [place[0] for _, _, place in cnc.output_changes] == [
         10,
         10,
@@ -798,12 +799,12 @@ def test_missing_and_lost_parts_hold_the_job(shop: Make) -> None:
 def test_pen_is_down_before_the_machine_moves(shop: Make) -> None:
     """M3 is answered after the servo's travel time of 150 ms. A reset lifts the pen.
 
-    seen: width of the servo's pulses, 1000 us up and 1600 us down.
+    pulses_us: width of the servo's pulses, 1000 us up and 1600 us down.
     """
     from machine import PWM
 
     cnc = shop("pen")
-    seen: list[Any] = []
+    pulses_us: list[Any] = []
 
     def us() -> int:
         # Pin 15: periods of 20000 us; duty 65535 is all of it.
@@ -811,17 +812,17 @@ def test_pen_is_down_before_the_machine_moves(shop: Make) -> None:
 
     def script() -> "Iterator[Any]":
         """M3 puts the pen down; a reset during a move lifts it. Note the pulses, and the wait."""
-        seen.append(us())
+        pulses_us.append(us())
         since = cnc.rig.now
         yield from cnc.send("M3 S1")
-        seen.append((us(), (cnc.rig.now - since) / cnc.rig.ticks_per_ms >= 150))
+        pulses_us.append((us(), (cnc.rig.now - since) / cnc.rig.ticks_per_ms >= 150))
         yield from cnc.send("G1 X50 F1000\n", "ms 200")
         yield from cnc.send("\x18", "banner")
         yield cnc.rig.ms(20)  # the handler has run
-        seen.append(us())
+        pulses_us.append(us())
 
     cnc.run(script())
-    assert seen == [1000, (1600, True), 1000]
+    assert pulses_us == [1000, (1600, True), 1000]
 
 
 # Pendant
@@ -868,7 +869,7 @@ def test_wheel_jogs_by_its_edges(shop: Make, edges: int, coarse: bool, mm: float
 def test_button_jogs_while_it_is_held(shop: Make) -> None:
     """3 s at 1200 mm/min are 60 mm; after the release it stops within 2.5 mm."""
     cnc = shop("pendant", **_PENDANT)
-    seen: list[Any] = []  # X after 3 s, a report, X at the end
+    seen: list[Any] = []
 
     def script() -> "Iterator[Any]":
         """Hold the pendant's button "minus" for 3 s."""
@@ -881,8 +882,9 @@ def test_button_jogs_while_it_is_held(shop: Make) -> None:
         seen.append(cnc.position_mm()[0])
 
     cnc.run(script())
-    assert seen[0] == pytest.approx(-60, abs=3) and "<Jog" in seen[1]
-    assert -2.5 < seen[2] - seen[0] < 0
+    x_after_3_s, report, x_at_end = seen
+    assert x_after_3_s == pytest.approx(-60, abs=3) and "<Jog" in report
+    assert -2.5 < x_at_end - x_after_3_s < 0
 
 
 def test_pendant_does_not_disturb_a_program(shop: Make) -> None:
@@ -963,10 +965,7 @@ def test_clicks_of_the_serial_pendant_jog_and_wrong_frames_do_not(pendant: Shop)
 
 @pytest.mark.parametrize("end", ["the line is cut", "enabling button released", "button released"])
 def test_jog_of_the_serial_pendant_ends(pendant: Shop, end: str) -> None:
-    """The button plus is held for 2 s at 50 % of 3000 mm/min: 50 mm. Then the jog must end.
-
-    seen: X after 2 s, a report, X 0.8 s after the end of all frames.
-    """
+    """The button plus is held for 2 s at 50 % of 3000 mm/min: 50 mm. Then the jog must end."""
     seen: list[Any] = []
 
     def script() -> "Iterator[Any]":
@@ -982,10 +981,11 @@ def test_jog_of_the_serial_pendant_ends(pendant: Shop, end: str) -> None:
         yield from pendant.until("Idle")
 
     pendant.run(script())
-    assert seen[0] == pytest.approx(50, abs=3) and "<Jog" in seen[1]
+    x_after_2_s, report, x_after_last_frame = seen
+    assert x_after_2_s == pytest.approx(50, abs=3) and "<Jog" in report
     # mm; a cut line is noticed only after 0.24 s, which are 6 mm.
-    assert 0 < pendant.position_mm()[0] - seen[0] < (8 if end == "the line is cut" else 2.5)
-    assert pendant.position_mm()[0] == seen[2]
+    assert 0 < pendant.position_mm()[0] - x_after_2_s < (8 if end == "the line is cut" else 2.5)
+    assert pendant.position_mm()[0] == x_after_last_frame
 
 
 def test_hold_of_the_serial_pendant_acts_once_in_a_program(pendant: Shop) -> None:
@@ -1039,7 +1039,7 @@ class Rack:
 
         def driven(levels: int) -> None:
             drive(levels)
-            self.look()
+            self.update_tool()
 
         return driven
 
@@ -1048,7 +1048,7 @@ class Rack:
         x, y, z = self.shop.position_mm()
         return round((x - 20) / 40) + 1 if y == 300 and z == -80 else 0
 
-    def look(self) -> None:
+    def update_tool(self) -> None:
         """Update tool, pockets and sensors from the drawbar and the place of the cone."""
         is_open = self.shop.is_on("drawbar") and not self.stuck
         pocket = self.pocket()
@@ -1176,7 +1176,7 @@ def test_reset_at_any_time_of_a_change_drops_no_tool(shop: Make) -> None:
             yield from cnc.send("T2 M6")
             yield from cnc.send("T5 M6\n", "ms %d" % ms)
             yield from cnc.send("\x18", "banner")
-            rack.look()
+            rack.update_tool()
             assert not cnc.is_on("drawbar") and not cnc.rig.port.own_outputs
             yield cnc.rig.ms(700)  # until the motors have stopped and handlers have ended
             yield from cnc.send("$X")
@@ -1276,9 +1276,10 @@ def test_machine_waits_for_the_inverters_speed(inverter: Shop) -> None:
             seen.extend([Inverter.last.word, round(Inverter.last.hz * 60)])
 
     inverter.run(script())
-    assert seen[0] == 0x12 and seen[1] == pytest.approx(12000, abs=300)
-    assert seen[2] == 1 and seen[3] <= 30
-    assert seen[4] == 0x22 and seen[5] == pytest.approx(6000, abs=150) and seen[6] == 1
+    m3, rpm_m3, m5, rpm_m5, m4, rpm_m4, m2, _ = seen
+    assert m3 == 0x12 and rpm_m3 == pytest.approx(12000, abs=300)
+    assert m5 == 1 and rpm_m5 <= 30
+    assert m4 == 0x22 and rpm_m4 == pytest.approx(6000, abs=150) and m2 == 1
 
 
 def test_silent_inverter_stops_the_machine(inverter: Shop) -> None:
