@@ -54,12 +54,6 @@ class Board:
             time.sleep(0.05)
         return found[1].decode()
 
-    def send(self, text: bytes) -> None:
-        """Send text over USB."""
-        assert self.process.stdin
-        self.process.stdin.write(text)
-        self.process.stdin.flush()
-
     def close(self) -> None:
         self.process.kill()
         self.process.communicate()
