@@ -63,7 +63,7 @@ class NetLink:
         self.is_slow = cable.is_slow
         self.check_supervisor: "Callable[[], None]" = lambda: None
         self.on_poll: "Callable[[], None] | None" = None
-        # The dialect's: greeting; bytes that ask for a report; real-time bytes below 0x80; stops.
+        # The greeting; bytes that ask for a report; real-time bytes below 0x80; stops.
         self.welcome = b"\r\nGrbl 1.1h ['$' for help]\r\n"
         self.questions = b"?"
         self.realtime = b"\x18!~"  # Ctrl-X, feed hold, cycle start
