@@ -31,7 +31,7 @@ def set_up(
 
     The person it returns is not connected yet.
     """
-    boards: "list[PromptBoard]" = []
+    ends: "list[Callable[[], None]]" = []
 
     def make(has: str = "frozen", board: str = "", **options: Any) -> Person:
         """Open the page at a board.
@@ -45,18 +45,17 @@ def set_up(
             (flash / "board.py").write_text(board)
         person = person_at(**options)
         spare_machine = machines({})  # starts while the person reads
-        boards.append(
-            PromptBoard(
-                flash, lambda: spare_machine if spare_machine.is_new() else machines({}), has
-            )
+        made = PromptBoard(
+            flash, lambda: spare_machine if spare_machine.is_new() else machines({}), has
         )
-        person.bridge.machine = boards[0]  # type: ignore[assignment]
+        ends.extend((made.close, spare_machine.close))
+        person.bridge.machine = made  # type: ignore[assignment]
         person.open_from_disk()
         return person
 
     yield make
-    for one in boards:
-        one.close()
+    for end in ends:
+        end()
 
 
 def flash_of(person: Person) -> Path:
