@@ -206,7 +206,8 @@ def add_single(a: ptr32, i: int, b: ptr32, j: int) -> int:
     """Set b[j] to a[i] + b[j], all floats as bits. Rounds to even. Returns 0."""
     sign_a = ptr8(a)[4 * i + 3] >> 7
     sign_b = ptr8(b)[4 * j + 3] >> 7
-    # The bits without the sign: 30, and bit 30 from the last byte. They compare as the floats do.
+    # All bits but the sign, which compare as the floats do. Bit 30 comes from the last byte,
+    # because a constant of 31 bits would be an object on the heap.
     x = (a[i] & _MAGNITUDE) | ((ptr8(a)[4 * i + 3] & 64) << 24)
     y = (b[j] & _MAGNITUDE) | ((ptr8(b)[4 * j + 3] & 64) << 24)
     if x < y:  # exchange them, so that x is the larger, and sign_a the sum's sign

@@ -139,7 +139,7 @@ def arm(state: ptr32) -> int:
     state[s.TICKS_AHEAD] = 0  # ticks of motion made after that one
     state[s.NEXT_PIECE] = 0  # no long segment is half made
     for i in range(axes):
-        # Positions in steps: the next segment starts where halt() has stopped the motor.
+        # Positions in steps: where the motor has stopped, which halt() has put into SENT_PLACE.
         lanes[LANE * i + MADE_PLACE] = lanes[LANE * i + SENT_PLACE]
     # FDEBUG's flags of words that were lost: writing ones clears them.
     ptr32(state[s.PIO0])[reg.FDEBUG] = state[s.OURS_0] << reg.TXOVER

@@ -68,24 +68,24 @@ class Storm:
     ) -> None:
         self._pico = board.pico
         self._pins = pins
-        self._lasts = (closed_us, open_us)
+        self._us_by_level = (closed_us, open_us)
         self._level = 1
-        self._end = 0.0
+        self._end_us = 0.0
         self.began = 0.0
 
     def start(self, delay_us: float, duration_us: float) -> None:
         """Begin after delay_us and continue for duration_us; the pins are open at the end."""
         self.began = self._pico.us + delay_us
-        self._end = self.began + duration_us
+        self._end_us = self.began + duration_us
         self._pico.at_us(delay_us, self._turn)
 
     def _turn(self) -> None:
         """Change the level of the pins, and plan the next change; 1 is open."""
-        self._level = 1 if self._pico.us >= self._end else 1 - self._level
+        self._level = 1 if self._pico.us >= self._end_us else 1 - self._level
         for pin in self._pins:
             self._pico.drive(pin, self._level)
-        if self._pico.us < self._end:
-            self._pico.at_us(self._lasts[self._level], self._turn)
+        if self._pico.us < self._end_us:
+            self._pico.at_us(self._us_by_level[self._level], self._turn)
 
 
 def run_move(board: Board) -> "list[float]":

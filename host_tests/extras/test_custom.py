@@ -204,7 +204,9 @@ def test_pulses_have_the_given_width_and_end_with_a_reset(bench: Make) -> None:
     assert pulses[0] == {0: (500, 32768), 1: (50, 4915)} and cnc.heard == [True, False]
     assert pulses[1] == {0: (500, 65535), 1: (50, 0)}
     assert pulses[2] == {}, "a failure leaves no output on"
-    assert "duty must be 0 to 1" in "".join(replies[5]) and replies[5][1] == "ALARM:34"  # M100P1.5
+    assert (
+        "share must be 0 to 1" in "".join(replies[5]) and replies[5][1] == "ALARM:34"
+    )  # M100P1.5
     assert pulses[3] == {0: (500, 65535)} and cnc.outputs == 1  # only vacuum, bit 0
 
 

@@ -214,13 +214,13 @@ _SHARED = "__init__ api cycles events handlers kinematics laser motors net posit
 
 
 def words_of_extras():
-    """Return a pattern for words of extras: those in _GUESTS, and names of modules and folders.
+    """Return a pattern for words of extras: _EXTRA_WORDS, and names of modules and folders.
 
     _SHARED: names that the core uses in another sense; each must still be an extra's.
     """
     paths = [path.relative_to(FIRMWARE / "extras") for path in FILES if "extras" in path.parts]
     names = {part.removesuffix(".py") for path in paths for part in path.parts}
-    assert set(_SHARED) <= names, "no more is let pass than there is"
+    assert set(_SHARED) <= names, "_SHARED has a name that no extra has any more"
     own_names = r"|".join(sorted(map(re.escape, names - set(_SHARED))))
     return re.compile(f"{_EXTRA_WORDS}|{own_names}", re.IGNORECASE)
 

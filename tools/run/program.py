@@ -317,7 +317,8 @@ class ProgramLink(machine.UntimedLink):
             )
 
     def _resume(self) -> None:
-        """Send a cycle start, and note the pause."""
+        """Send a cycle start, and note the pause. _resume_at: the tick before which no other is
+        sent."""
         self._to_firmware += CYCLE_START
         self._resume_at = self.rig.ms(_RESUME_MS)
         if self.now_at() not in self.result.pauses[-1:]:  # each line once

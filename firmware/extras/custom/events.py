@@ -134,7 +134,7 @@ class Events:
             self.run_due()
         except GrblError:
             return  # the handler has refused, and reported why
-        if self._state.alarm and not self._state.pending[st.RESET]:
+        if self._state.alarm and not self._state.pending[st.RESET]:  # else the reset raises it
             raise Abort
 
     def run_due(self) -> None:

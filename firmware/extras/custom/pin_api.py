@@ -96,10 +96,11 @@ class PinApi:
     ) -> None:
         """Make pulses at an output: `share` of the time on (0 to 1), `hz` from 20 to 40000.
 
-        Otherwise it is as m.out(). ValueError outside these ranges.
+        Otherwise as m.out(), with a check for a stop before (_set_level) and after the change.
+        ValueError outside these ranges.
         """
         if not (0 <= share <= 1 and _LOWEST_HZ <= hz <= _HIGHEST_HZ):
-            raise ValueError("m.pwm: duty must be 0 to 1, frequency 20 to 40000 Hz")
+            raise ValueError("m.pwm: share must be 0 to 1, frequency 20 to 40000 Hz")
         index = _index(self._outputs, name, "output")
         hz = truncate(hz + 0.5)  # a line's numbers are floats; PWM takes int
         self._set_level(index, share > 0)

@@ -155,7 +155,7 @@ class Feed:
         _, _, _, self._kinds = machine.reader.memory()  # the kind of each byte value
         self._flow = machine.planner.flow
         self._line_of_row = array("i", bytes(4 * self._flow[layout.ROWS]))
-        self._state = array("i", bytes(4 * 6))  # _LINES_ANSWERED and so on
+        self._state = array("i", bytes(4 * 6))  # see _LINES_ANSWERED
         self._state[_EMPTY_RING_BYTES] = self._reader.free()
         self._file_bytes = bytearray(_FILE_BYTES)
         self._sender_bytes = bytearray(_SENDER_BYTES)
@@ -170,6 +170,7 @@ class Feed:
         self._line_now = self._line_before = self._held_line = 0
         self.fault: "OSError | None" = None
         self.is_on = False
+        # From here on the main loop reads and answers by this object.
         machine.protocol.link = self
         machine.protocol.read_into = self.read_into
         machine.state.hooks.refuse = self._refuse

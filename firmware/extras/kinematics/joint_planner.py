@@ -149,7 +149,7 @@ class NonlinearPlanner(Planner):
         the tool, in 1/1000 mm.
         """
         joint_resolution, tool_resolution = self.kinematics.resolution, self.steps_per_mm
-        copy(self.steps_per_mm, joint_resolution, self.axes)
+        copy(tool_resolution, joint_resolution, self.axes)  # saved before it is overwritten
         for i in range(self.axes):  # the settings are per minute
             self._rates[i] = min(settings.max_rate[i] / 60, step_hz / joint_resolution[i])
             self._accelerations[i] = settings.acceleration[i] / 3600
@@ -158,8 +158,8 @@ class NonlinearPlanner(Planner):
         copy(tool_resolution, memoryview(self.table)[table_index:], self.axes)
 
     def _set_tool_scale(self, settings: "AxisLimits") -> None:
-        """Set the scale of the planner's squared speeds: 2**30 is the square of the tool's highest
-        speed, the geometry's FASTEST (mm/min)."""
+        """Set the scale of the planner's squared speeds, and the junction deviation in it: 2**30
+        is the square of the tool's highest speed, the geometry's FASTEST (mm/min)."""
         table = self.table
         self._fastest = self.kinematics.geometry.FASTEST / 60
         scale = (1 << _SPEED_BITS) / (self._fastest * self._fastest)  # per (mm/s)2
