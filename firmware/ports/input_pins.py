@@ -27,7 +27,7 @@ _DISARMED_MS = const(2)  # after an interrupt, unless the board file says otherw
 _MOST_MISSES = const(4)  # edges of the probe that were over before the pin was read
 
 _FAILED = "A pin's callback has failed"
-_FAILED_TWICE = "A pin's callback failed, and the stop after it failed too"
+_FAILED_TWICE = "A pin's callback failed, and so did the stop after it: cut the power"
 
 
 class PortInputs:

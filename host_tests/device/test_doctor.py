@@ -257,7 +257,7 @@ def test_nearly_full_c_stack_is_reported_with_the_next_step(used: int, verdict: 
     replies = ["[VER:1.1h.20261121:]", f"[MSG:Stack: {used} of 8192 bytes used]", "ok"]
     (finding,) = checkup.stack(replies)
     assert finding.verdict == verdict and f"{used} of 8192 bytes" in finding.text
-    assert ("report it" in finding.todo) == (verdict == NOTE)
+    assert ("report this" in finding.todo) == (verdict == NOTE)
 
 
 def test_board_without_a_stack_figure_gets_no_row() -> None:

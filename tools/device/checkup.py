@@ -100,8 +100,8 @@ def stack(replies: Iterable[str]) -> list[Finding]:
     text = f"{used} of {size} bytes used at most since power-up"
     if size - used >= _STACK_SPARE:
         return [Finding("C stack", OK, text)]
-    todo = "report it with what the machine was doing, and run the firmware without changes of "
-    todo += "your own: an interrupt without free stack stops the machine"
+    todo = "report this, and what the machine was doing; until it is mended, run the firmware "
+    todo += "without your own Python: an interrupt without free stack stops the machine"
     return [Finding("C stack", NOTE, f"{text}: less than 1 kB is free", todo)]
 
 

@@ -59,7 +59,7 @@ def install(cnc: "Cnc") -> None:
     try:
         custom.register(_read(_found["modules"]))
     except KeyboardInterrupt:
-        custom.leave_out(RuntimeError("Ctrl-C came while its file was read"))
+        custom.leave_out(RuntimeError("Ctrl-C came while it was read, so it was not loaded"))
     except BaseException as fault:  # sys.exit(), too
         custom.leave_out(fault)
 

@@ -41,8 +41,8 @@ def limits(facts: list[Fact]) -> Iterator[Row]:
         yield Row(what, None, "left out: no LIMIT pin uses the chip's own pull-up", fact)
     elif not fact["shown"]:
         why = (
-            "something wired to a limit input keeps it high; it can only be tested with a wire "
-            "to ground"
+            "a limit input stays high, because something is wired to it: disconnect that, and "
+            "test again"
         )
         yield Row(what, None, NOT_SHOWN + why, fact)
     else:
