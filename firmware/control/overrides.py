@@ -95,13 +95,13 @@ class Overrides:
 
     def override_spindle(self) -> None:
         """Apply a changed spindle override. In Idle and Alarm without planned blocks: at once, to
-        a tool that is on. Else to all planned blocks; in other states once more when motion is
-        held, resumes or ends."""
+        a tool that is on. Else to all planned blocks, and once more when motion starts, is held,
+        resumes or ends."""
         state, spindle = self._state, self._spindle
         state.invalidate_lines()
-        is_at_rest = state.run in (st.IDLE, st.ALARM)
+        is_at_rest = state.run in (st.IDLE, st.ALARM) and self._planner.empty()
         state.update_spindle = not is_at_rest
-        if is_at_rest and self._planner.empty():
+        if is_at_rest:
             if spindle.is_on():
                 spindle.restore(self._modes.modal[SPINDLE], self._modes.rates[RPM])
             return

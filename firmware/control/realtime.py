@@ -130,7 +130,7 @@ class Realtime:
         if not state.run & (st.ALARM | st.CHECK):
             if state.run & (st.RUN | st.JOG):
                 self._slow_down(sleep)
-            elif state.run == st.IDLE:
+            elif state.run == st.IDLE or (door and state.run == st.HOMING):  # which is ending
                 state.suspend = st.HOLD_COMPLETE  # there is nothing to slow down
             if cancel and not state.run & st.JOG:
                 state.suspend |= st.MOTION_CANCEL
@@ -161,8 +161,6 @@ class Realtime:
         Door. Asleep, the machine stays asleep."""
         state = self._state
         self._voice.message(errors.MSG_DOOR_AJAR)
-        if state.run == st.HOMING:  # which has just ended
-            state.suspend = st.HOLD_COMPLETE
         if not state.suspend & st.JOG_CANCEL:
             if state.run == st.DOOR and state.suspend & st.INITIATE_RESTORE:
                 if state.system_motion:  # parking

@@ -39,8 +39,9 @@ def duration() -> int:
     return ticks[0]
 
 
+@pytest.mark.parametrize("opens", [b"\x84", b"!\x84"], ids=["door", "hold and door"])
 @pytest.mark.parametrize("before_end_us", range(-1000, 23000, 1500))
-def test_door_at_the_end_of_homing_can_be_closed(before_end_us: int) -> None:
+def test_door_at_the_end_of_homing_can_be_closed(before_end_us: int, opens: bytes) -> None:
     """Either it is in time for ALARM:7, or the machine waits for `~` and is then homed."""
     machine = machine_with_switches()
     rig = machine.rig
@@ -50,7 +51,7 @@ def test_door_at_the_end_of_homing_can_be_closed(before_end_us: int) -> None:
         started = rig.now
         rig.link.send(b"$H\n")
         yield started + duration() - int(before_end_us * rig.ticks_per_ms / 1000)
-        rig.link.send(b"\x84")
+        rig.link.send(opens)
         yield rig.ms(500)  # the door is handled, if it was in time
         rig.link.send(b"~")
         yield rig.ms(5000)  # also restores the spindle

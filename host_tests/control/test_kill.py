@@ -387,4 +387,4 @@ def test_failing_stop_does_not_leave_the_interrupt() -> None:
     port.attach(listener(*2 * (lambda *_: 1 // 0,)))  # both callbacks raise
     port.enable_limits(True)
     machine.Pin(9).drive(0)
-    assert port.fault.endswith("the stop after it failed too")
+    assert port.fault.endswith("so did the stop after it: cut the power")

@@ -131,7 +131,10 @@ def test_laser_has_its_last_power_after_a_door_at_the_end_of_motion(door_ms: int
 
 
 @pytest.mark.parametrize("laser", [0, 1])
-def test_override_reaches_blocks_that_are_planned_and_not_started(laser: int) -> None:
+@pytest.mark.parametrize("last_line", [b"", b"X4\n"])
+def test_override_reaches_blocks_that_are_planned_and_not_started(
+    laser: int, last_line: bytes
+) -> None:
     lines = b"X2\nX3\n" + _DOWN_10 * 5 + b"X4\n"
     states = Tool(laser).play("M3S1000", "G1F1200", "X1", 500, lines, 60)
     assert states[-1] == ("Run", 500, 128)

@@ -556,17 +556,22 @@ def test_a_client_dropped_in_the_middle_of_its_lines_loses_control(bench) -> Non
     bench.run(script)
 
 
-def test_all_lines_of_a_new_client_are_executed_after_those_of_the_last(bench) -> None:
+@pytest.mark.parametrize("comment_bytes", [0, 200, 250, 300])
+def test_all_lines_of_a_new_client_are_executed_after_those_of_the_last(
+    bench, comment_bytes: int
+) -> None:
     def script(bench):
-        """The dwell of a client that has gone delays the lines of the next one; none is lost."""
+        """The dwell of a client that has gone delays the lines of the next one; none is lost, nor
+        does a comment that is longer than a client's memory end its reading."""
         last_client = yield from joined(bench)
         last_client.send("G4P1.5\n")  # a dwell of 1.5 s
         yield from bench.wait(100)
         last_client.has_hung_up = True
         new_client = yield from joined(bench)
-        new_client.send("G91\n" + "G1X0.1F600\n" * 11)  # 125 bytes, as with character counting
+        comment = f"({'c' * comment_bytes})\n"
+        new_client.send("G91\n" + comment + "G1X0.1F600\n" * 11)
         yield from bench.wait(5000)
-        assert new_client.take().count("ok\r\n") == 12  # G91 and 11 moves
+        assert new_client.take().count("ok\r\n") == 1 + 1 + 11  # G91, the comment, the moves
 
     bench.run(script)
     assert bench.steps() == [275, 0, 0]  # 250 steps/mm * 11 * 0.1 mm

@@ -183,7 +183,7 @@ class Client:
         """Return whether more bytes may be read while the client's lines are executed: with the
         key, if there is space for them. Without it not before these are answered: else a flood of
         lines would hold the machine."""
-        return self.trusted and self.length <= _RECEIVED_BYTES - _READ_BYTES
+        return self.trusted and self.length < _RECEIVED_BYTES - _READ_BYTES
 
     def keep(self, byte: int) -> None:
         """Store a received byte; one that does not fit is lost, and the line is then too long. One

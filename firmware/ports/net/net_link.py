@@ -216,8 +216,11 @@ class NetLink:
             if count:
                 return count
         driver = control.driver  # it may be another one now
-        if driver and driver.ready and not (control.ending or self._urgent_count):
-            return driver.move_lines(buf)
+        if driver and not (control.ending or self._urgent_count):
+            if driver is control.owner and not driver.is_too_long:
+                driver.ready = driver.length  # its bytes need not wait for a line's end
+            if driver.ready:
+                return driver.move_lines(buf)
         return 0
 
     def _read_driver(self, driver: Client, buf: bytearray, now_ms: int) -> int:
@@ -310,10 +313,7 @@ class NetLink:
                 self._end_line(client, byte, now_ms)
             else:
                 client.keep(byte)
-                if client is self.control.owner:
-                    if not (self.control.ending or self.control.is_borrowed()):
-                        client.ready = client.length  # need not wait for the line's end
-                elif is_browser(client.received, client.length):
+                if client is not self.control.owner and is_browser(client.received, client.length):
                     self._drop(client)
             if not client.conn and client is not self._cable_client:  # it was dropped
                 return
