@@ -141,7 +141,7 @@ def test_a_rate_is_rounded_like_printed_floats(join_speed: int, row_speed: int) 
     segments = Segments(planner)
     planner.flow[layout.JOIN_SPEED] = join_speed
     rate = 60 * minifloat.value(segments.rate())
-    if rate < 2**31:  # mm/min that fit in 31 bits
+    if rate < 60 * 2**24:  # mm/min: the limit of per_minute()
         assert str(minifloat.per_minute(segments.rate())) == printed(rate, 0)
     planner.flow[layout.LOADED] = 1
     planner.flow[layout.ROW_SPEED] = row_speed
