@@ -77,6 +77,15 @@ class Visitor:
     def click(self, selector: str) -> None:
         self.page.click(selector, timeout=_LONG_MS)
 
+    def click_at_once(self, selector: str) -> None:
+        """Click an element as soon as it is shown and enabled, in one step: click() may come too
+        late where the page is changing."""
+        script = """(where) => {
+            const element = document.querySelector(where);
+            return element?.offsetParent && !element.disabled && (element.click(), true);
+        }"""
+        self.page.wait_for_function(script, arg=selector, timeout=_LONG_MS)
+
     def press(self, selector: str) -> None:
         """Press the mouse button on the element and hold it."""
         self.page.hover(selector)

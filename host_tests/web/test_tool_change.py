@@ -29,7 +29,7 @@ def pauses_at_change(person, job=_JOB):
 def goes_on(person):
     """Confirm the tool change and wait until the job continues, maybe up to the next change."""
     person.page.evaluate("window.confirmed = toolPause")
-    person.click("#tool-go")
+    person.click_at_once("#tool-go")
     person.waits("toolPause !== confirmed")
 
 

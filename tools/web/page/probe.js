@@ -97,6 +97,7 @@ async function probeRun(act) {
   try {
     await sendLines(["G21 G91"]);
     await act();
+    await readAtRest(); // the tool still moves up
   } finally {
     if (!is("Alarm") && grbl.drives && before.length) await grbl.send(before.join(" "));
   }
