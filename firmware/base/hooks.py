@@ -32,10 +32,10 @@ class Hooks:
     find_command: "Callable[[bytearray, int], Line]"  # returns what executes a $-line
     refuse: "Callable[[int], None]"  # reports an error to the sender, by Grbl's number
     alarm: "Callable[[int], None]"  # and an alarm
+    forget: "Callable[[], None]"  # at each reset: the probed position, and what extras hold
     # Methods of HomingProbing.
     probe: "Probe"
     probed_at: "Callable[[], array[float]]"
-    forget_probe: "Callable[[], None]"
     home: "Callable[[int], bool]"
     find_switches: "Callable[[int], None]"
     home_phase: "Callable[[int, bool, float, float], None]"

@@ -163,11 +163,8 @@ def _connect(machine: Controller) -> None:
     hooks.refuse, hooks.alarm = machine.report.error, machine.report.alarm
     hooks.write_offsets = machine.coords.write
     cycles = machine.homing_probing
-    hooks.probe, hooks.probed_at, hooks.forget_probe = (
-        cycles.probe,
-        cycles.probe_position,
-        cycles.forget_probe,
-    )
+    hooks.probe, hooks.probed_at = cycles.probe, cycles.probe_position
+    hooks.forget = cycles.forget_probe
     hooks.home, hooks.find_switches, hooks.home_phase = (
         cycles.home,
         cycles.find_switches,

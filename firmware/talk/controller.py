@@ -234,7 +234,7 @@ class Controller:
         self.segments.clear()
         self.spindle.set_speed(sp.OFF, 0.0)
         self.coolant.set(0)
-        state.hooks.forget_probe()
+        state.hooks.forget()
         self.motor_control.release()
         self.resync()
         state.override_countdown = 0

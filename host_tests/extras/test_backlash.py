@@ -53,6 +53,20 @@ def make_machine(settings: "dict[int, float] | None" = None, **options: Any) -> 
     return machine
 
 
+def machine_with_much_slack() -> Machine:
+    """Return a machine whose Z has 2 mm of slack and accelerates slowly."""
+    machine = make_machine(settings={162: 2.0, 122: 50})
+    machine.table.slack = (*_SLACK_STEPS[:2], 2 * _PER_MM)  # type: ignore[attr-defined]
+    return machine
+
+
+def moved_up(machine: Machine) -> Iterator[Any]:
+    """Start the machine, and execute _UP; the next move of Z downwards begins with slack."""
+    yield from machine.start()
+    yield from machine.sender.wait("idle", f"{_UP}\n", settle=1)
+    machine.take()  # empties the list of replies
+
+
 class Table:
     """A table on a screw with backlash: it moves after its motor has taken up the slack.
 
@@ -210,9 +224,7 @@ def test_position_stays_right_after_any_interruption_of_the_slack(byte: str) -> 
 
         def script(machine: Machine = machine, ms: int = ms) -> Iterator[Any]:
             """Send the byte `ms` after the start of the move; come to a stop, through a hold."""
-            yield from machine.start()
-            yield from machine.sender.wait("idle", f"{_UP}\n", settle=1)
-            machine.take()  # empties the list of replies
+            yield from moved_up(machine)
             machine.rig.link.send(b"G1Z-1F1500\n")
             yield machine.rig.ms(ms)
             machine.rig.link.send(byte.encode("latin-1"))
@@ -234,14 +246,11 @@ def test_position_stays_right_after_any_interruption_of_the_slack(byte: str) -> 
 def test_rest_of_the_slack_is_taken_up_after_a_reset_in_the_middle() -> None:
     """A reset within 2 mm of slack; then lines in both directions: table and report agree."""
     for ms in range(20, 900, 79):
-        machine = make_machine(settings={162: 2.0, 122: 50})
-        machine.table.slack = (*_SLACK_STEPS[:2], 2 * _PER_MM)  # type: ignore[attr-defined]
+        machine = machine_with_much_slack()
 
         def script(machine: Machine = machine, ms: int = ms) -> Iterator[Any]:
             """Reset `ms` after the start of the move; unlock, and move Z up and down."""
-            yield from machine.start()
-            yield from machine.sender.wait("idle", f"{_UP}\n", settle=1)
-            machine.take()  # empties the list of replies
+            yield from moved_up(machine)
             machine.rig.link.send(b"G1Z-1F1500\n")
             yield machine.rig.ms(ms)
             machine.rig.link.send(b"\x18")
@@ -260,14 +269,11 @@ def test_rest_of_the_slack_is_taken_up_after_a_reset_in_the_middle() -> None:
 def test_jog_cancelled_in_the_slack_moves_the_table_no_further() -> None:
     """Jog cancel (0x85) at each time of a jog down, which begins with 2 mm of slack."""
     for ms in range(30, 800, 59):
-        machine = make_machine(settings={162: 2.0, 122: 50})
-        machine.table.slack = (*_SLACK_STEPS[:2], 2 * _PER_MM)  # type: ignore[attr-defined]
+        machine = machine_with_much_slack()
 
         def script(machine: Machine = machine, ms: int = ms) -> Iterator[Any]:
             """Cancel the jog `ms` after its start; then move to Z0."""
-            yield from machine.start()
-            yield from machine.sender.wait("idle", f"{_UP}\n", settle=1)
-            machine.take()  # empties the list of replies
+            yield from moved_up(machine)
             machine.rig.link.send(b"$J=G91Z-30F900\n")
             yield machine.rig.ms(ms)
             machine.rig.link.send(b"\x85")

@@ -244,7 +244,7 @@ def test_hold_stops_held_jog(person):
 
 
 def test_command_key_stops_jog_by_key(person):
-    """macOS tells of no key's release while Command is down."""
+    """macOS reports no key's release while Command is down."""
     person.click("#keys")
     person.page.keyboard.down("ArrowRight")
     person.sees("Jog")

@@ -122,7 +122,7 @@ def test_macro_asks_for_numbers_and_runs_line_by_line(person):
 
 
 def test_job_does_not_start_between_lines_of_macro(person):
-    """The machine is Idle in a dwell, but the lines behind it are still to be sent."""
+    """The machine is Idle in a dwell, but the lines after it are still to be sent."""
     person.loads("G21 G90\nG0 X1\n")
     lines = "G4 P1\nG91\nG0 Z1\nG90"
     person.page.evaluate(f"macros = [{{ name: 'up', lines: `{lines}` }}]; renderMacros()")

@@ -59,9 +59,7 @@ class SyncedWords:
         """Run the words whose position has been reached, in their order. Called at each turn of
         the main loop while words wait."""
         self._subtract_read_blocks()
-        self._machine.state.pending[st.ANY] = (
-            1  # so that the loop calls this again after the next line
-        )
+        self._machine.state.pending[st.ANY] = 1  # the loop calls this again after the next line
         waiting = self.waiting
         while waiting and waiting[0][_BLOCKS_BEFORE] == 0 and self._is_reached(waiting[0]):
             what, function, given = waiting.pop(0)[_FIRST_OF_CALL:]

@@ -354,7 +354,7 @@ def _hook_probing(machine: "Any") -> None:
     state, axes = machine.state, machine.planner.axes
     hooks = state.hooks
     contact = vector(axes)  # mm
-    previous_probe, previous_forget = hooks.probe, hooks.forget_probe
+    previous_probe, previous_forget = hooks.probe, hooks.forget
     previous_position: "Callable[[], array[float]]" = hooks.probed_at
 
     def probe(target: "array[float]", move: "Move", away: bool, alarms: bool) -> bool:
@@ -371,4 +371,4 @@ def _hook_probing(machine: "Any") -> None:
         for i in range(axes):
             contact[i] = 0.0
 
-    hooks.probe, hooks.forget_probe, hooks.probed_at = probe, forget, lambda: contact
+    hooks.probe, hooks.forget, hooks.probed_at = probe, forget, lambda: contact

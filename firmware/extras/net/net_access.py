@@ -60,7 +60,7 @@ def drop_partial_line(ring: bytearray, state: "array[int]", kinds: bytearray) ->
 class Network:
     """`$NET` and its stored values. link: None in a simulator without network. _values: by name,
     such as SSID, as text. _key_is_unsent: the key was just made, and is still to be reported.
-    _forget_probe: what each reset called before, see Hooks."""
+    _previous_forget: Hooks.forget without the link."""
 
     def __init__(self, cnc: "Cnc", link: "NetworkLink | None") -> None:
         machine = cnc.machine
@@ -81,7 +81,7 @@ class Network:
             link.control.drop_partial_line = self._drop_partial_line
             link.control.has_partial_line = self._has_partial_line
             hooks = machine.state.hooks
-            self._forget_probe, hooks.forget_probe = hooks.forget_probe, self._forget
+            self._previous_forget, hooks.forget = hooks.forget, self._forget
 
     def _new_key(self) -> str:
         """Return a random key of _KEY_LENGTH characters: 39 bits from the chip's noise source."""
@@ -100,10 +100,10 @@ class Network:
     # Hooks
 
     def _forget(self) -> None:
-        """Forget the lines that wait in the link. Called at each reset, which drops the rest."""
+        """Forget the lines that wait in the link, as Hooks.forget()."""
         assert self._link
         self._link.forget_lines()
-        self._forget_probe()
+        self._previous_forget()
 
     def complete_handover(self) -> None:
         """Complete a requested handover of control once all lines of the client before are
