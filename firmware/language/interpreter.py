@@ -21,7 +21,7 @@ from motion import layout
 from motion import planner as plan
 
 from language import block_layout as b
-from language import line as ln
+from language.line import PLAIN, check_line, commit_modal, run_move
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -136,7 +136,7 @@ class Interpreter:
         elif asked < 0:
             raise GrblError(-asked)
         # What no kernel may execute: all but PLAIN, and motion that an extra watches.
-        python_only = ~ln.PLAIN | machine[b.WATCHED] & (b.MOVE | b.NOT_STRAIGHT)
+        python_only = ~PLAIN | machine[b.WATCHED] & (b.MOVE | b.NOT_STRAIGHT)
         # A move-only line: wait for a free row of the ring, then a kernel executes it.
         if not asked & python_only:
             if asked & b.MOVE and self._state.run != st.CHECK:
@@ -146,7 +146,7 @@ class Interpreter:
                 if machine[b.ASKED] != asked:
                     asked = self.check_line(line, length << 8, modal, jog=0)
                 machine[b.ASKED] = 0
-            if ln.run_move(asked, modal, self._memory):
+            if run_move(asked, modal, self._memory):
                 return  # executed
         self._execute(asked)
         if asked & (b.COMMAND | b.MOVE):
@@ -159,7 +159,7 @@ class Interpreter:
         span: end << 8 | start; modal: the modal state that the line starts from; jog: 1 for a $J=
         line, else 0.
         """
-        asked = ln.check_line(line, span, modal, jog, self._memory)
+        asked = check_line(line, span, modal, jog, self._memory)
         if asked < 0:
             raise GrblError(-asked)
         if not jog:
@@ -190,7 +190,7 @@ class Interpreter:
         motion = block.ints[mode.MOTION]
         if asked & b.NOT_STRAIGHT and motion in self.motions:  # an extra's
             self.motions[motion].check(block)  # may refuse the block
-        ln.commit_modal(block.ints, block.singles, modes.modal, modes.rates)
+        commit_modal(block.ints, block.singles, modes.modal, modes.rates)
         modes.rates[mode.TOOL] = block.singles[b.T]
         if asked & _SWITCHES:
             self._switch(block, asked)

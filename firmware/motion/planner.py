@@ -14,8 +14,10 @@ from base.float32 import copy, f32, truncate, vector
 from base.hooks import call_all
 from micropython import const
 
-from motion import arcs, layout, minifloat, plan_kernel
+from motion import arcs, layout, minifloat
 from motion.layout import FLAGS, HEAD, LINE, LOADED, ROWS, SYSTEM, TAIL, UNPLANNED
+from motion.plan_kernel import compute_profile, limit_entry, reverse_pass
+from motion.plan_kernel import plan as plan_block
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -216,7 +218,7 @@ class Planner:
         flags: the block's; line: the N word; power: of the spindle; rate: see rate(), or a real in
         1/s with INVERSE_TIME.
         """
-        return plan_kernel.plan(target, self.table, self.ring, self.flow, flags, line, power, rate)
+        return plan_block(target, self.table, self.ring, self.flow, flags, line, power, rate)
 
     def rate(self, feed: float) -> int:
         """Return a feed in mm/min as a real in mm/s (minifloat.py)."""
@@ -264,7 +266,7 @@ class Planner:
         """Run the backward pass for blocks that were added since the last one: see
         plan_kernel.append_block(). Then call the extras' hooks."""
         if self.flow[UNPLANNED]:
-            plan_kernel.reverse_pass(self.ring, self.flow, 0)
+            reverse_pass(self.ring, self.flow, 0)
         if self._state.hooks.caught_up:
             call_all(self._state.hooks.caught_up)
 
@@ -279,11 +281,11 @@ class Planner:
                 return
         row = flow[TAIL]
         while row != flow[HEAD]:
-            plan_kernel.compute_profile(self.table, self.ring, row * flow[layout.ROW_SIZE])
+            compute_profile(self.table, self.ring, row * flow[layout.ROW_SIZE])
             if row != flow[TAIL]:  # the block being executed has been entered
-                plan_kernel.limit_entry(self.ring, flow, row)
+                limit_entry(self.ring, flow, row)
             row = (row + 1) % flow[ROWS]
-        plan_kernel.reverse_pass(self.ring, flow, 1)  # 1: over all blocks
+        reverse_pass(self.ring, flow, 1)  # 1: over all blocks
 
     def each_power(self, power: "Callable[[int, float], int]") -> None:
         """Set the spindle power of every block again. power(flags, rpm) returns it, from a block's

@@ -9,8 +9,9 @@ from array import array
 
 from base.float32 import copy, vector
 from micropython import const
-from motion import layout, minifloat, plan_kernel
+from motion import layout, minifloat
 from motion.arcs import PLACE_BIAS
+from motion.plan_kernel import append_block, compute_profile, step_ratios
 from motion.planner import Planner
 
 from extras.kinematics.segmenter import Segmenter
@@ -283,12 +284,12 @@ class NonlinearPlanner(Planner):
         ring[at + layout.FLAGS], ring[at + layout.LINE] = flags, move.line_number
         ring[at + layout.POWER] = power
         self._limit(at, begin, end, length, math.sqrt(squares) / length, move)
-        plan_kernel.compute_profile(table, ring, at)
-        plan_kernel.step_ratios(ring, at, self.motors)
+        compute_profile(table, ring, at)
+        step_ratios(ring, at, self.motors)
         if flags & layout.SYSTEM_MOTION:
             flow[layout.SYSTEM] = 1  # execute it
         else:
-            plan_kernel.append_block(table, ring, flow)
+            append_block(table, ring, flow)
         self.speeds[row] = move.spindle_rpm
         return True
 

@@ -17,9 +17,10 @@ from base.settings import AXIS
 from control.canon import Canon
 from language.block_layout import MOVE
 from micropython import const
-from motion import arcs, layout, plan_kernel
+from motion import arcs, layout
 from motion import planner as plan
 from motion.kinematics import Kinematics
+from motion.plan_kernel import plan as plan_block
 from motion.planner import Planner
 from motion.steps import to_steps
 
@@ -115,7 +116,7 @@ class BacklashPlanner(Planner):
         flags = layout.SYSTEM_MOTION | layout.RAPID_MOTION | layout.NO_FEED_OVERRIDE
         flags |= layout.PLACED | move.flags & plan.ACCESSORY_MASK
         line = move.line_number
-        planned = plan_kernel.plan(self.speeds, table, self.ring, self.flow, flags, line, power, 0)
+        planned = plan_block(self.speeds, table, self.ring, self.flow, flags, line, power, 0)
         self.speeds[self.flow[layout.ROWS]] = move.spindle_rpm  # that of the system's own block
         copy(saved, targets, 2 * axes)
         return bool(planned)
@@ -199,7 +200,7 @@ class BacklashCanon(Canon):
             power, head = self.power_of(move), flow[layout.HEAD]
             # PLACED: the target is in the table, and plan() does not read its first argument.
             flags, feed = move.flags | layout.PLACED, rate(move.feed)
-            if plan_kernel.plan(course, table, ring, flow, flags, move.line_number, power, feed):
+            if plan_block(course, table, ring, flow, flags, move.line_number, power, feed):
                 planner.speeds[head] = move.spindle_rpm
             else:
                 self._apply_zero_length(move)
