@@ -12,7 +12,7 @@ import time
 
 from base import errors
 from base import state as st
-from base.faults import sanitize, trace
+from base.text import sanitize, trace
 from micropython import const
 
 TYPE_CHECKING = const(False)

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from base import faults
+from base import text
 from base.state import ALARM, State
 from boot import power_up
 from pio import stack
@@ -88,7 +88,7 @@ class Wire:
 
 
 def test_a_reported_fault_contains_no_answer_and_only_plain_letters() -> None:
-    sanitized = faults.sanitize("añb error [x] ok \ud800 z\n")
+    sanitized = text.sanitize("añb error [x] ok \ud800 z\n")
     assert sanitized == "a b Err  x  o-k   z "
 
 

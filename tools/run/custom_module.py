@@ -13,7 +13,7 @@ from importlib.util import spec_from_loader
 from types import ModuleType
 from typing import Any
 
-from base.faults import sanitize
+from base.text import sanitize
 from boot import select_extras
 from extras.custom import handlers, user_modules
 from extras.custom.machine_api import MachineApi

@@ -9,7 +9,7 @@ import micropython
 from base import errors
 from base import state as st
 from base.errors import Abort, GrblError
-from base.faults import sanitize
+from base.text import sanitize
 from control import coolant
 from control import spindle as sp
 from language.block_layout import HIGHEST_TOOL, SET_TOOL

@@ -10,9 +10,8 @@ from base import errors
 from base import state as st
 from base.axes import LETTERS
 from base.errors import GrblError
-from base.faults import sanitize
 from base.float32 import vector
-from base.text import text_of
+from base.text import sanitize, text_of
 from control.coords import NAMES
 from control.modes import INCHES
 from micropython import const

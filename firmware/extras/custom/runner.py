@@ -11,7 +11,7 @@ import micropython
 from base import errors
 from base import state as st
 from base.errors import Abort, GrblError
-from base.faults import sanitize, trace
+from base.text import sanitize, trace
 from micropython import const
 from motion.layout import HEAD, ROWS, TAIL
 

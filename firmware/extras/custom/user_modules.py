@@ -10,7 +10,7 @@ runner.py calls the handlers, events.py has the sources of events, machine_api.p
 import gc
 import sys
 
-from base.faults import sanitize, trace
+from base.text import sanitize, trace
 from micropython import const
 
 from extras.custom import handlers

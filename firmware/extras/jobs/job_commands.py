@@ -10,8 +10,7 @@ the board file, the name of the folder, selects this. SD_CARD, its pins, stores 
 from base import errors
 from base import state as st
 from base.errors import GrblError
-from base.faults import sanitize
-from base.text import text_of
+from base.text import sanitize, text_of
 from micropython import const
 from talk.lines import LineReader
 

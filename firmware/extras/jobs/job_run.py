@@ -11,7 +11,7 @@ from array import array
 import micropython
 from base import state as st
 from base.controls import START
-from base.faults import sanitize
+from base.text import sanitize
 from control.coords import NAMES
 from control.modes import COOLANT, SPINDLE
 from micropython import const

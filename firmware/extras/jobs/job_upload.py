@@ -12,7 +12,7 @@ import io
 import deflate
 from base import errors
 from base.errors import GrblError
-from base.faults import sanitize
+from base.text import sanitize
 from micropython import const
 from talk.lines import LINE, TOO_LONG, LineReader, clean
 
