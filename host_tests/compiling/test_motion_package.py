@@ -12,6 +12,7 @@ from ugrbl.boardfile.chips import ARCHS
 from ugrbl.boardfile.files import board_file, load_for_build
 from ugrbl.compiling import build, motion_package
 from ugrbl.compiling.build import LIBRARY
+from ugrbl.device.deploy import signature
 from ugrbl.run import stubs
 
 _MOST_BYTES = 40_000
@@ -23,7 +24,7 @@ def test_it_is_smaller_than_40_kb_on_a_pico(arch: str) -> None:
     package = motion_package.compile_for(arch)
     assert 30_000 < package.bytes < _MOST_BYTES
     # the number of the processor in each .mpy file
-    assert build.signature(package) >> 10 == {"armv6m": 4, "armv7emsp": 7}[arch]
+    assert signature(package) >> 10 == {"armv6m": 4, "armv7emsp": 7}[arch]
 
 
 def test_the_page_has_its_sizes() -> None:

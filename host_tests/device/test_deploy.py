@@ -27,7 +27,16 @@ from ugrbl.cli.app import app
 from ugrbl.compiling import build
 from ugrbl.compiling.folder import save
 from ugrbl.compiling.inline import inline, pruned
-from ugrbl.device.deploy import LIST, About, DeployError, Running, check_fit, deploy
+from ugrbl.device.deploy import (
+    LIST,
+    About,
+    DeployError,
+    Running,
+    check_fit,
+    deploy,
+    digest,
+    signature,
+)
 from ugrbl.image import contents
 
 # It builds firmware for boards: the first ring runs one test of each kind.
@@ -77,7 +86,7 @@ class FakeBoard:
         """Return the digests of files in these folders, as deploy_device.py finds them."""
         wanted = set(folders)
         return {
-            path: build.digest(content)
+            path: digest(content)
             for path, content in self.disk.items()
             if path.rpartition("/")[0] in wanted and path.endswith(_LOOKED_AT)
         }
@@ -248,7 +257,7 @@ def test_main_and_board_file_are_not_compiled(pico_build: build.Build) -> None:
     others = set(pico_build.files) - {"main.py", "board.py"}
     assert all(name.endswith(".mpy") for name in others)
     # The .mpy version is in the low byte, the processor from bit 10 on: 4 is armv6m.
-    assert build.signature(pico_build) & 0xFF == 6 and build.signature(pico_build) >> 10 == 4
+    assert signature(pico_build) & 0xFF == 6 and signature(pico_build) >> 10 == 4
 
 
 # The command build

@@ -13,11 +13,7 @@ from .board_check import imports, is_simulated, own_modules, problems
 
 
 class BoardFileError(ValueError):
-    """A board file is not valid; `problems` has a text for each cause."""
-
-    def __init__(self, *problems: str) -> None:
-        super().__init__("\n".join(problems))
-        self.problems = problems
+    """A board file is not valid, for these reasons, one per line."""
 
 
 def boards() -> list[str]:
@@ -114,5 +110,5 @@ def _checked(file: Path, may_be_simulated: bool) -> ModuleType:
             "board: copy that code into it"
         )
     if texts:
-        raise BoardFileError(*texts)
+        raise BoardFileError("\n".join(texts))
     return board

@@ -15,7 +15,6 @@ from rich.console import Console
 from rich.markup import escape
 
 from .. import paths
-from ..compiling.build import digest
 from ..device import custom_files
 from ..device.connection import SendError
 from ..device.custom_files import CustomFiles
@@ -251,7 +250,7 @@ def _edit(
     anyway: bool,
 ) -> bool:
     """Let the user edit a copy, and push it. Returns whether it was changed."""
-    before = _digests(copy)
+    before = _contents(copy)
     try:
         subprocess.run([*editor, str(copy)], check=True)
     except OSError as error:
@@ -260,16 +259,16 @@ def _edit(
     except subprocess.CalledProcessError as error:
         why = f"the editor {editor[0]} ended with exit code {error.returncode}; nothing was pushed"
         raise DeployError(why, "edit your copy, and push it: ugrbl custom push") from error
-    if _digests(copy) == before:
+    if _contents(copy) == before:
         return False
     _push(console, port, _checked(console, copy, board, inputs, anyway))
     return True
 
 
-def _digests(copy: Path) -> dict[str, str]:
-    """Return a digest of each file, so that a change is seen."""
+def _contents(copy: Path) -> dict[str, bytes]:
+    """Return the content of each file, so that a change is seen."""
     files = [copy] if copy.is_file() else sorted(copy.rglob("*.py"))
-    return {str(file): digest(file.read_bytes()) for file in files}
+    return {str(file): file.read_bytes() for file in files}
 
 
 @app.command(epilog=_EXAMPLE.format("remove --port /dev/ttyACM0"))

@@ -96,7 +96,7 @@ def command(
         console.print(f"{file.stem}: {len(made.files)} files, {made.bytes} bytes", highlight=False)
         result = _deploy(console, where, made, replace)
     except (BoardFileError, BuildError) as error:
-        raise _failed(error.problems, "nothing has been copied", json_file) from error
+        raise _failed(str(error).splitlines(), "nothing has been copied", json_file) from error
     except SendError as error:
         raise _failed([str(error)], "", json_file) from error
     except DeployError as error:

@@ -7,7 +7,7 @@ import typer
 from rich.console import Console
 
 from .. import paths
-from ..boardfile.files import BoardFileError, board_file, load_for_build
+from ..boardfile.files import board_file, load_for_build
 from ..compiling import build
 from ..compiling.build import START, BuildError
 from ..grbl.settings_file import SettingsError, read_settings
@@ -89,9 +89,7 @@ def command(
             files = contents.files(compiled, own, micropython_image.frozen)
             data = contents.join(micropython_image, files)
         paths.write(file, data)
-    except (BoardFileError, BuildError) as error:
-        raise failed("\n".join(error.problems)) from error
-    except (ValueError, SettingsError, OSError) as error:
+    except (BuildError, ValueError, SettingsError, OSError) as error:
         raise failed(error) from error
     _show(console, file, micropython_image, files)
 

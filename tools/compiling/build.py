@@ -56,11 +56,7 @@ _CHIP_LINE = re.compile(rf"^{_CHIP} = const\(1\)$", re.MULTILINE)
 
 
 class BuildError(Exception):
-    """The build is not possible; `problems` has a text for each cause."""
-
-    def __init__(self, *problems: str) -> None:
-        super().__init__("\n".join(problems))
-        self.problems = problems
+    """The build is not possible, for this reason."""
 
 
 @dataclass
@@ -356,19 +352,3 @@ def for_board(file: Path) -> Build:
     made.files |= own
     made.own = tuple(own)
     return made
-
-
-def signature(made: Build) -> int:
-    """Return version and processor of the compiled code, encoded as in the board's
-    sys.implementation._mpy.
-
-    All files have the same version, in byte 1. Byte 2 has the processor's number, and a smaller
-    one in files without native code, which run on every processor; hence the maximum.
-    """
-    heads = (content[:4] for path, content in made.files.items() if path.endswith(".mpy"))
-    return max(head[1] | head[2] << 8 for head in heads)
-
-
-def digest(content: bytes) -> str:
-    """Return a hash of a file's content; it differs for different contents."""
-    return hashlib.sha256(content).hexdigest()

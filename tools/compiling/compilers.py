@@ -3,7 +3,6 @@
 import importlib
 import importlib.util
 import os
-import re
 import subprocess
 import sys
 
@@ -52,16 +51,13 @@ def compiled(name: str, text: str, arch: str) -> bytes:
     return done.stdout
 
 
-def refusal(source: bytes) -> "tuple[int, str] | None":
-    """Return the line, 0 if unknown, and the reason for which MicroPython's compiler refuses a
-    file; None if it accepts it. CompilerError if the compiler is missing."""
+def refusal(source: bytes) -> str:
+    """Return the traceback with which MicroPython's compiler refuses a file; "" if it accepts it.
+    CompilerError if the compiler is missing."""
     done = _run(source, "-o", os.devnull)
     if not done.returncode:
-        return None
-    message = done.stderr.decode(errors="replace").strip()
-    line_numbers = re.findall(r", line (\d+)", message)
-    line = int(line_numbers[-1]) if line_numbers else 0
-    return line, message.splitlines()[-1] if message else "it is refused"
+        return ""
+    return done.stderr.decode(errors="replace").strip() or "it is refused"
 
 
 def llvm(*arguments: str) -> None:

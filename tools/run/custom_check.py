@@ -96,12 +96,14 @@ def unknown_pins(own: OwnPython, outputs: Collection[str], inputs: Collection[st
 def _syntax(module: Module, verdict: Verdict) -> Iterator[str]:
     """Yield syntax that CPython accepts and MicroPython refuses."""
     try:
-        refused = compilers.refusal(module.source)
+        traceback = compilers.refusal(module.source)
     except CompilerError as error:
         verdict.notes = [f"not checked by MicroPython's compiler: {error}"]
         return
-    if refused:
-        line, reason = refused
+    if traceback:
+        line_numbers = re.findall(r", line (\d+)", traceback)
+        line = int(line_numbers[-1]) if line_numbers else 0  # 0: unknown
+        reason = traceback.splitlines()[-1]
         yield f"{module.file}, line {line}: MicroPython says: {reason}{_why(module, line)}"
 
 
