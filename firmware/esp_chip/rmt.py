@@ -278,14 +278,14 @@ class RmtEngine(TimerEngine):
             timing[trains.ROWS_HELD] += 1
         if not timing[trains.ROWS_HELD]:
             return False
-        trains.cut(rows, timing, size)
+        trains.choose_end(rows, timing, size)
         for i in range(self._axes):
             count = trains.durations(rows, timing, size, i, self._next[i])
             if count < 0:
                 raise RuntimeError("RMT: a pulse train does not fit into its channel's memory")
             self._counts[i] = count
         self._note_powers()
-        trains.advance(timing)
+        trains.remove_rows(timing)
         state[_NEXT_READY] = 1
         return True
 

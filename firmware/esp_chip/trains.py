@@ -2,9 +2,9 @@
 """Trains: from segment rows to the durations that esp32.RMT plays, in integers and us.
 
 Rows wait in a ring. A train is a stretch of them, the same for all axes, in which no axis reverses
-and none has more steps than a channel can hold. cut() chooses its length; durations() makes the
-train of one axis. It begins with the time to the first step; then pulses and pauses alternate, and
-a pulse is last.
+and none has more steps than a channel can hold. choose_end() sets its length; durations() makes
+the train of one axis. It begins with the time to the first step; then pulses and pauses alternate,
+and a pulse is last.
 
 Arguments: rows, the ring of ROWS rows, `size` integers each; timing, the integers shared by all
 axes. A row (motion/layout.py) has at ROW_TICKS, which is 0, its time in us, at ROW_DIRS a mask of
@@ -53,7 +53,7 @@ def held_us(rows: ptr32, timing: ptr32, size: int) -> int:
 
 
 @micropython.viper
-def cut(rows: ptr32, timing: ptr32, size: int) -> int:
+def choose_end(rows: ptr32, timing: ptr32, size: int) -> int:
     """Choose the end of the next train: ROWS_TAKEN, PART_US, LENGTH_US, DIRS. Returns LENGTH_US.
 
     It ends at the end of a row, where steps are slow; within a row only if the first one alone is
@@ -189,7 +189,7 @@ def durations(rows: ptr32, timing: ptr32, size: int, axis: int, out: ptr32) -> i
 
 
 @micropython.viper
-def advance(timing: ptr32) -> int:
+def remove_rows(timing: ptr32) -> int:
     """Remove the rows that the next train takes to their end from the ring: the train after it
     begins at its end, which may be within a row (PART_US)."""
     timing[FIRST_ROW] = (timing[FIRST_ROW] + timing[ROWS_TAKEN]) & _ROWS_MASK

@@ -26,8 +26,7 @@ from motion import layout
 from motion.arc_geometry import lay
 from motion.arcs import CHORDS_LEFT
 from motion.minifloat import per_second
-from motion.plan_kernel import FULL, OUTSIDE
-from motion.plan_kernel import plan as plan_block
+from motion.plan_kernel import FULL, OUTSIDE, plan_block
 from motion.planner import COOLANT_SHIFT, SPINDLE_CCW, SPINDLE_MASK
 
 from language import block_layout as b

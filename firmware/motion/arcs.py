@@ -6,7 +6,7 @@ are fixed-point numbers of steps: an axis has a unit, which is its step / 2**STE
 axes of the plane rotate about the centre; the others of a helix advance evenly. Integers, because
 an interrupt may come at any time and a float is an object; main loop only. The planner's arrays
 table, ring and flow are described in layout.py: TARGET, from LIMITS on, is the end of the next
-block, per axis; HEAD is the row that plan() fills, ROWS the number of rows.
+block, per axis; HEAD is the row that plan_block() fills, ROWS the number of rows.
 """
 
 from array import array
@@ -16,7 +16,7 @@ from base.float32 import copy
 from micropython import const
 
 from motion.layout import AXES, HEAD, LIMITS, ROWS, TARGET
-from motion.plan_kernel import FULL, OUTSIDE, full, plan
+from motion.plan_kernel import FULL, OUTSIDE, full, plan_block
 
 FARTHEST = 268435456.0  # 2**28, in units or steps: no position in a course is farther from 0
 
@@ -98,7 +98,7 @@ def rotate(course: ptr32, shift: int) -> int:
 
 
 @micropython.viper
-def advance(course: ptr32, table: ptr32) -> int:
+def next_chord(course: ptr32, table: ptr32) -> int:
     """Advance by one chord: its end, in whole steps, goes into TARGET of the planner's table.
 
     Returns OUTSIDE if that is outside the limits of any axis (limit()), else 0.
@@ -138,7 +138,7 @@ def follow(
 ) -> int:
     """Plan chords, up to eight, until the link must be read again.
 
-    flags, line, power, rate: as of plan_kernel.plan(); flags 0: check mode, nothing is to move.
+    flags, line, power, rate: see plan_kernel.plan_block(); flags 0: check mode, nothing moves.
     Returns the reason to pause: OUTSIDE or FULL if the next chord cannot be planned, NOWHERE if
     the last one had no steps, else 0: eight are made, or all. speeds: each block's programmed
     spindle speed, for reports; speeds[flow[ROWS] + 1] is the arc's.
@@ -147,13 +147,13 @@ def follow(
     while reason == 0:
         if course[END_KNOWN] == 0:  # after FULL the end is known already
             course[END_KNOWN] = 1
-            if int(advance(course, table)):
+            if int(next_chord(course, table)):
                 return OUTSIDE
         if flags:
             if int(full(flow)):
                 return FULL
-            row = flow[HEAD]  # the one that plan() fills
-            if int(plan(course, table, ring, flow, flags, line, power, rate)):
+            row = flow[HEAD]  # the one that plan_block() fills
+            if int(plan_block(course, table, ring, flow, flags, line, power, rate)):
                 speeds[row] = speeds[flow[ROWS] + 1]
             else:
                 reason = NOWHERE

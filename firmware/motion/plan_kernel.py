@@ -328,7 +328,7 @@ def limit_entry(ring: ptr32, flow: ptr32, row: int) -> int:
 
 
 @micropython.viper
-def plan(
+def plan_block(
     target: ptr32,
     table: ptr32,
     ring: ptr32,

@@ -16,8 +16,7 @@ from micropython import const
 
 from motion import arcs, layout, minifloat
 from motion.layout import FLAGS, HEAD, LINE, LOADED, ROWS, SYSTEM, TAIL, UNPLANNED
-from motion.plan_kernel import compute_profile, limit_entry, reverse_pass
-from motion.plan_kernel import plan as plan_block
+from motion.plan_kernel import compute_profile, limit_entry, plan_block, reverse_pass
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:

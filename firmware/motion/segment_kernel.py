@@ -340,7 +340,7 @@ def is_due(flow: ptr32, ring: ptr32, motors: int) -> int:
 
 
 @micropython.viper
-def plan(flow: ptr32, ring: ptr32, table: ptr32) -> int:
+def plan_segment(flow: ptr32, ring: ptr32, table: ptr32) -> int:
     """Plan the next segment as pieces, and its number of rows (SLICES). Returns 1, or 0 if nothing
     is to move.
 
@@ -374,7 +374,7 @@ def fill(flow: ptr32, ring: ptr32, table: ptr32, row: ptr32) -> int:
     """Make the next row for the pulse engine, and plan a segment first if all rows of the last one
     are made. Returns 1, or 0 if nothing is to move. At the end of a block TAIL is advanced."""
     if flow[SLICES] == 0:
-        if int(plan(flow, ring, table)) == 0:
+        if int(plan_segment(flow, ring, table)) == 0:
             return 0
     steps = int(next_row(flow, row, table[SEGMENT_LOG2]))
     # 0: the block ends with this row.

@@ -51,7 +51,7 @@ from pio.pulses import (
     SENT,
     SENT_PLACE,
     convert,
-    cut,
+    cut_row,
 )
 
 # Motion is made so far ahead of the segment that is played; a hold takes that much longer.
@@ -119,7 +119,7 @@ def append(state: ptr32) -> int:
         if state[s.NEXT_PIECE] == 0:  # its first piece
             for i in range(ROW_AXES + ROW_STRIDE * axes):
                 whole[i] = row[i]
-        state[s.NEXT_PIECE] = int(cut(row, whole, state[s.NEXT_PIECE], axes))
+        state[s.NEXT_PIECE] = int(cut_row(row, whole, state[s.NEXT_PIECE], axes))
     start = ROW_AXES + ROW_STRIDE * axes + s.ROW_EXTRA  # index of the start positions in the row
     for i in range(axes):
         place = lanes[LANE * i + MADE_PLACE]  # position in steps
@@ -207,7 +207,7 @@ def _prepare(state: ptr32) -> int:
 
 
 @micropython.viper
-def feed(state: ptr32) -> int:
+def feed_lanes(state: ptr32) -> int:
     """Convert waiting segments (from FED to MADE) to words, and hand the words over.
 
     While the machines run, only if all lanes' DMA channels have moved their words and the clock's
@@ -315,7 +315,7 @@ def _start_transfer(state: ptr32, fed: int, count: int) -> int:
 @micropython.viper
 def _launch(state: ptr32, fed: int) -> int:
     """Start all machines within one tick, and add the present time to END_US and to the begins of
-    the segments from FED up to `fed`, which feed() has counted from 0."""
+    the segments from FED up to `fed`, which feed_lanes() has counted from 0."""
     axes = state[s.AXES]
     for i in range(axes):
         pio = ptr32(state[s.PIO0 + (i >> s.BLOCK_LOG2)])

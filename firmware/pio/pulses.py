@@ -6,7 +6,7 @@ Times are in ticks of 80 ns. A lane is the state of one axis, a few integers; it
 ring. The words of all lanes fill the same time to the tick: what a lane's words lack to the end of
 a segment is its CARRY, and becomes part of its next delay.
 
-    row     up to LONGEST (2**18 ticks); longer ones, up to some 2**27, are cut() first
+    row     up to LONGEST (2**18 ticks); longer ones, up to some 2**27, go through cut_row() first
     delay   2**19 - 1 at most: a row, CARRY and a late start fit
     steps   4095 at most per row and motor
 
@@ -184,7 +184,7 @@ def convert(row: ptr32, lanes: ptr32, words: ptr32, timing: ptr32) -> int:
 
 
 @micropython.viper
-def cut(row: ptr32, whole: ptr32, begin: int, axes: int) -> int:
+def cut_row(row: ptr32, whole: ptr32, begin: int, axes: int) -> int:
     """Fill a row with the piece of a long one (whole) that begins at tick `begin` of that. Returns
     the tick of its end, or 0 for the last piece.
 

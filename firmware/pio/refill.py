@@ -13,7 +13,7 @@ import micropython
 from micropython import const
 from motion.layout import KEEP_POWER
 
-from pio.engine_state import LEAD, append, feed, read_progress
+from pio.engine_state import LEAD, append, feed_lanes, read_progress
 from pio.state_layout import (
     FED,
     HALT,
@@ -47,7 +47,7 @@ def refill(state: ptr32, next_segment: object, on_power: object, on_rest: object
     if state[RUNNING] == 0 or state[WORDS_TO_END] <= 0:
         # First what had no space in the hardware: it must not wait while segments are made.
         if state[MADE] != state[FED]:
-            feed(state)
+            feed_lanes(state)
         made = 0  # in this call
         while (
             made < _MOST_PER_CALL
@@ -61,7 +61,8 @@ def refill(state: ptr32, next_segment: object, on_power: object, on_rest: object
             append(state)
             made += 1
         if made:
-            feed(state)
-        if state[RUNNING] == 0 and state[HALT] == 0:  # feed() would have started the machines
+            feed_lanes(state)
+        # feed_lanes() would have started the machines.
+        if state[RUNNING] == 0 and state[HALT] == 0:
             on_rest()
     return 0

@@ -122,7 +122,7 @@ def has_bytes(state: ptr32) -> int:
 
 
 @micropython.viper
-def feed(data: ptr8, count: int, ring: ptr8, state: ptr32, kinds: ptr8, post: object) -> int:
+def take_bytes(data: ptr8, count: int, ring: ptr8, state: ptr32, kinds: ptr8, post: object) -> int:
     """Move the first `count` bytes of data into the ring; call post with each real-time byte.
     Bytes that do not fit are lost. Returns 0.
 
@@ -198,7 +198,7 @@ class LineReader:
     def feed(self, data: bytearray, count: int) -> None:
         """Accept the first `count` bytes of data. Bytes that do not fit are lost: the sender has
         miscounted."""
-        feed(data, count, self._ring, self._state, self._kinds, self.post)
+        take_bytes(data, count, self._ring, self._state, self._kinds, self.post)
 
     def free(self) -> int:
         """Return how many bytes a sender may still send."""

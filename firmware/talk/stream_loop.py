@@ -11,7 +11,7 @@ from language.block_layout import LINES_LEFT
 from language.line import execute
 from micropython import const
 
-from talk.lines import LINE, NOTHING, clean, feed, free_space, has_bytes
+from talk.lines import LINE, NOTHING, clean, free_space, has_bytes, take_bytes
 from talk.report import OK
 
 TYPE_CHECKING = const(False)
@@ -98,7 +98,7 @@ def _receive(pending: ptr8, receiving: object, ring: ptr8, reader: ptr32, kinds:
     It reads no more than the ring has space for, so nothing is lost if a sender does not count.
     The piece to read is the whole buffer; if the ring has less space, _LONG or _SHORT bytes.
 
-    pending: State.pending; receiving: see kernel_args(); ring, reader, kinds: see lines.feed().
+    pending: State.pending; receiving: see kernel_args(); ring, reader, kinds: see take_bytes().
     """
     read_into, post, size, piece, long, short = receiving
     free = int(free_space(reader))
@@ -111,7 +111,7 @@ def _receive(pending: ptr8, receiving: object, ring: ptr8, reader: ptr32, kinds:
             piece_size = _LONG if free >= _LONG else _SHORT
         read = int(read_into(piece))
         if read:
-            feed(ptr8(piece), read, ring, reader, kinds, post)
+            take_bytes(ptr8(piece), read, ring, reader, kinds, post)
         count += read
         # All of _LONG or _SHORT bytes were there: more may wait.
         more = 1 if read == piece_size and piece_size <= _LONG else 0

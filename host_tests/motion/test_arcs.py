@@ -91,7 +91,7 @@ class Course:
         table = array("i", [0] * layout.table_length(self.axes, self.axes))
         table[layout.AXES] = self.axes
         for _ in range(self.chords_before_last):
-            assert arcs.advance(self._course, table) == 0
+            assert arcs.next_chord(self._course, table) == 0
             steps = table[layout.LIMITS + layout.TARGET * self.axes :][: self.axes]
             per_mm = self._steps_per_mm
             yield [(n - arcs.PLACE_BIAS) / r for n, r in zip(steps, per_mm, strict=True)]

@@ -358,7 +358,7 @@ def test_a_dot_has_the_same_power_as_s(
     scale = spindle._state.spindle
     # of two blocks: a count and 16 dots each; 16 S values each. The second block is used.
     powers, speeds = array("i", [0] * 34), array("f", [0] * 32)
-    clusters.store(array("f", values), len(values), scale, flags, powers, speeds, 1)
+    clusters.store_dots(array("f", values), len(values), scale, flags, powers, speeds, 1)
     assert powers[17] == len(values)
     assert list(speeds[16:][: len(values)]) == list(array("f", values))
     for value, power in zip(array("f", values), powers[18:], strict=False):

@@ -207,7 +207,7 @@ def cut(whole: "array[int]") -> "Iterator[array[int]]":
     begin = 0
     while True:
         piece = array("i", whole)
-        begin = pulses.cut(piece, whole, begin, AXES)
+        begin = pulses.cut_row(piece, whole, begin, AXES)
         yield piece
         if not begin:
             return

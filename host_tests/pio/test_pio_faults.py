@@ -189,7 +189,7 @@ def test_a_stop_at_any_bytecode_is_final(name: str) -> None:
     [
         "read_progress",
         "append",
-        "feed",
+        "feed_lanes",
         "_prepare",
         "_load_isr",
         "convert",

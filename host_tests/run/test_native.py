@@ -253,7 +253,7 @@ def test_read_only_view_is_read_unchanged(tmp_path: Path) -> None:
 @pytest.mark.sampled(1)
 def test_every_kernel_is_translated() -> None:
     translated = set(re.findall(r'^ +"(\S+) (\S+)', native.in_c(build.texts()), re.MULTILINE))
-    assert {("motion.plan_kernel", "plan"), ("language.line", "commit_modal")} <= translated
+    assert {("motion.plan_kernel", "plan_block"), ("language.line", "commit_modal")} <= translated
     assert len(translated) > 120
 
 

@@ -130,7 +130,7 @@ def print_arcs(dice):
         arcs.stray(course, dice.any((0.002, 0.1)))
         print(arc.lay(start, target, steps_per_mm, course))
         for _ in range(min(course[arcs.CHORDS_LEFT], 20)):
-            outside = arcs.advance(course, table)
+            outside = arcs.next_chord(course, table)
             print(outside, list(table[layout.LIMITS + 4 * layout.TARGET :][:4]))
 
 

@@ -163,7 +163,7 @@ def _play_words(bench: Bench, us: float) -> "list[Step]":
         while True:
             row = whole
             if whole[ROW_TICKS] > pulses.LONGEST:  # cut it: 0 is returned with the last piece
-                begin = pulses.cut(piece, whole, begin, axes)
+                begin = pulses.cut_row(piece, whole, begin, axes)
                 row = piece
             # The positions in the rings before convert() writes the words of this row.
             sent = [lanes[pulses.LANE * i + pulses.HEAD] for i in range(axes)]

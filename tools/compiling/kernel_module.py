@@ -7,7 +7,6 @@ their own, so that a board has no kernel that it does not use. Lines keep their 
 """
 
 import ast
-from collections import Counter
 from collections.abc import Collection, Mapping
 from typing import NamedTuple
 
@@ -44,21 +43,18 @@ def taken_apart(texts: "Mapping[str, str]", core: "Collection[str]") -> Apart:
     """
     modules = {name: Module(name, text) for name, text in texts.items()}
     keys = [(name, function) for name, module in modules.items() for function in module.functions]
-    names = _names(keys)
     homes = {name: _home(name, core) for name, module in modules.items() if module.functions}
-    without_kernels = {
-        name: _without(text, modules[name], names, homes) for name, text in texts.items()
-    }
+    without_kernels = {name: _without(text, modules, name, homes) for name, text in texts.items()}
     # Without imports that only kernels needed; the others tell which kernels Python code uses.
     left = pruned(without_kernels, homes.values())
     trees = map(ast.parse, left.values())
     exported = {(home, name) for tree in trees for _, home, name in imported(tree)}
     pieces: dict[str, list[Key]] = {}
-    for key in sorted(keys, key=lambda key: names[key]):
-        if (homes[key[0]], names[key]) in exported:
-            pieces.setdefault(homes[key[0]], []).append(key)
+    for module, name in sorted(keys, key=lambda key: key[1]):
+        if (homes[module], name) in exported:
+            pieces.setdefault(homes[module], []).append((module, name))
     for home, piece in pieces.items():
-        left[home] = _TEXT.format(names=", ".join(names[key] for key in piece))
+        left[home] = _TEXT.format(names=", ".join(name for _, name in piece))
     return Apart(left, machine_code.in_c(modules, keys), pieces)
 
 
@@ -73,38 +69,25 @@ def _home(module: str, core: "Collection[str]") -> str:
     return _CORE if module in core else f"{PACKAGE}.{module.replace('.', '_')}"
 
 
-def _names(keys: "list[Key]") -> "dict[Key, str]":
-    """Return a name for each kernel: the function's own if it is unique, else with its
-    module's, as `begin_ring` for `begin` in base.ring."""
-    count = Counter(name for _, name in keys)
-    return {
-        (module, name): name if count[name] == 1 else f"{name}_{module.rpartition('.')[2]}"
-        for module, name in keys
-    }
-
-
 def _without(
-    text: str, module: Module, names: "Mapping[Key, str]", homes: "Mapping[str, str]"
+    text: str, modules: "Mapping[str, Module]", name: str, homes: "Mapping[str, str]"
 ) -> str:
-    """Return a module's text with imports in place of its kernels, and in place of its imports of
-    other modules' kernels. names: of all kernels, in the modules of kernels. homes: the module of
-    kernels for each module that has some."""
+    """Return the text of the module `name` with imports in place of its kernels, and in place of
+    its imports of other modules' kernels. modules: all, by name. homes: the module of kernels for
+    each module that has some."""
 
     def import_of(source: str, kernels: "list[ast.alias]") -> str:
-        """Return an import of kernels that were defined in the module `source`, each under the
-        name that it has in this module."""
-        both = [(names[source, a.name], a.asname or a.name) for a in kernels]
-        listed = [ast.alias(name, None if name == here else here) for name, here in both]
-        return ast.unparse(ast.ImportFrom(homes[source], listed, 0))
+        """Return an import of kernels that were defined in the module `source`."""
+        return ast.unparse(ast.ImportFrom(homes[source], kernels, 0))
 
     tree = ast.parse(text)
     edits = []
     for kernel in viper.vipers(tree):
         kernel.lineno = kernel.decorator_list[0].lineno  # the decorator goes, too
-        edits.append(Edit(kernel, import_of(module.name, [ast.alias(kernel.name)])))
+        edits.append(Edit(kernel, import_of(name, [ast.alias(kernel.name)])))
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and node.module and node.module in homes:
-            kernels = [a for a in node.names if (node.module, a.name) in names]
+            kernels = [a for a in node.names if a.name in modules[node.module].functions]
             others = [a for a in node.names if a not in kernels]
             statements = [imports(node, others)] if others else []
             statements += [import_of(node.module, kernels)] if kernels else []

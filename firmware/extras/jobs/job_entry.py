@@ -29,7 +29,7 @@ from language.block_layout import PROBE_TOWARD
 from language.words import bare
 from micropython import const
 from motion.planner import SPINDLE_CW
-from talk.lines import LINE, clean, feed
+from talk.lines import LINE, clean, take_bytes
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -188,7 +188,7 @@ class Entry:
                 return 0
             is_begun = True
             piece = bytearray(text.replace(b"\r", b" ") or b"\n")  # the last line may lack its LF
-            feed(piece, len(piece), ring, reader_state, kinds, _ignore_byte)
+            take_bytes(piece, len(piece), ring, reader_state, kinds, _ignore_byte)
             result = clean(*memory)
         return result
 

@@ -8,9 +8,9 @@ and rounded once, so the inverse is exact.
 
 import micropython
 from micropython import const
-from motion.arcs import CHORDS_LEFT, EIGHT_MASK, END_KNOWN, NOWHERE, PLACE_BIAS, advance
+from motion.arcs import CHORDS_LEFT, EIGHT_MASK, END_KNOWN, NOWHERE, PLACE_BIAS, next_chord
 from motion.layout import AXES, HEAD, LIMITS, ROWS, TARGET
-from motion.plan_kernel import FULL, OUTSIDE, full, plan
+from motion.plan_kernel import FULL, OUTSIDE, full, plan_block
 
 # The skew table: three shears, each with its factor + PLACE_BIAS and its number of fraction bits;
 # then the motors' positions where they were homed, in steps + PLACE_BIAS.
@@ -97,13 +97,13 @@ def follow_arc(
     while result == 0:
         if course[END_KNOWN] == 0:  # else TARGET is the end of the next chord already
             course[END_KNOWN] = 1
-            if int(advance(course, table)):
+            if int(next_chord(course, table)):
                 return OUTSIDE
             to_motors(table, skew)
         if int(full(flow)):
             return FULL
-        row = flow[HEAD]  # number of the row that plan() fills
-        if int(plan(course, table, ring, flow, flags, line, power, rate)):
+        row = flow[HEAD]  # number of the row that plan_block() fills
+        if int(plan_block(course, table, ring, flow, flags, line, power, rate)):
             speeds[row] = speeds[flow[ROWS] + 1]  # the arc's programmed spindle speed
         else:
             result = NOWHERE

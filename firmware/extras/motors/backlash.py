@@ -20,7 +20,7 @@ from micropython import const
 from motion import arcs, layout
 from motion import planner as plan
 from motion.kinematics import Kinematics
-from motion.plan_kernel import plan as plan_block
+from motion.plan_kernel import plan_block
 from motion.planner import Planner
 from motion.steps import to_steps
 
@@ -112,7 +112,7 @@ class BacklashPlanner(Planner):
         for i in range(axes):
             position = targets[axes + i]
             targets[i] = position + steps[i]
-        # PLACED: the target is in the table, and plan() does not read its first argument.
+        # PLACED: the target is in the table, and plan_block() does not read its first argument.
         flags = layout.SYSTEM_MOTION | layout.RAPID_MOTION | layout.NO_FEED_OVERRIDE
         flags |= layout.PLACED | move.flags & plan.ACCESSORY_MASK
         line = move.line_number
@@ -189,16 +189,16 @@ class BacklashCanon(Canon):
         table, ring, flow, rate = planner.table, planner.ring, planner.flow, planner.rate
         self.service()  # reads the link, and raises Abort after a reset
         while course[arcs.CHORDS_LEFT]:
-            if arcs.advance(course, table):
+            if arcs.next_chord(course, table):
                 self.stop_with_alarm(errors.ALARM_SOFT_LIMIT)  # raises Abort
-            # advance() has put the chord's end into TARGET; it is restored after the waits.
+            # next_chord() has put the chord's end into TARGET; it is restored after the waits.
             targets = memoryview(table)[layout.LIMITS + layout.TARGET * planner.axes :]
             chord_end = array("i", targets[: planner.axes])
             self._take_up(move)
             self.wait_for_room()
             copy(chord_end, targets, planner.axes)
             power, head = self.power_of(move), flow[layout.HEAD]
-            # PLACED: the target is in the table, and plan() does not read its first argument.
+            # PLACED: the target is in the table; plan_block() does not read its first argument.
             flags, feed = move.flags | layout.PLACED, rate(move.feed)
             if plan_block(course, table, ring, flow, flags, move.line_number, power, feed):
                 planner.speeds[head] = move.spindle_rpm

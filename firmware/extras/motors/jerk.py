@@ -17,7 +17,7 @@ from motion.layout import SLICES, SYSTEM
 
 from extras.motors import jerk_layout as jl
 from extras.motors import jerk_plan
-from extras.motors.jerk_kernel import advance, smooth
+from extras.motors.jerk_kernel import plan_slot, smooth
 from extras.motors.jerk_layout import FILTER_TAPS
 
 TYPE_CHECKING = const(False)
@@ -83,7 +83,7 @@ class Jerk:
         # Not without a limit of jerk, nor in a move of the system's own, such as homing.
         if line[FILTER_TAPS] and flow[SYSTEM] == 0:
             if flow[SLICES]:
-                advance(flow, line, ring, table, _PIECES)
+                plan_slot(flow, line, ring, table, _PIECES)
             elif int(smooth(flow, line, ring, table)) == 0:
                 return 0
         return int(self._next_segment(row))  # Segments.next()

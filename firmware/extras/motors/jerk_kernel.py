@@ -111,7 +111,7 @@ _SIXTEEN = const(0x1B4000)  # the real 16
 @micropython.viper
 def smooth(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32) -> int:
     """Plan the next segment of the executed motion, and its number of rows (SLICES), as
-    segment_kernel.plan() does. Returns 1, or 0 if nothing is to move.
+    segment_kernel.plan_segment() does. Returns 1, or 0 if nothing is to move.
 
     The rest of a slot and further slots are added until the segment covers _LEAST_DISTANCE or
     lasts _MOST_SLOTS slots, so its time is below 2**23. It ends where the block does.
@@ -278,7 +278,7 @@ def shift_filter(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32) -> int:
     if line[STAND_SLOTS] and line[SLOT_BEGUN] == 0:
         line[STAND_SLOTS] = line[STAND_SLOTS] - 1
     else:
-        advance(flow, line, ring, table, HIGHEST)
+        plan_slot(flow, line, ring, table, HIGHEST)
         if line[SLOT_BEGUN]:
             tap = line[SLOT_DISTANCE]
         elif sum_before == 0:
@@ -301,7 +301,7 @@ def shift_filter(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32) -> int:
 
 
 @micropython.viper
-def advance(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32, most: int) -> int:
+def plan_slot(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32, most: int) -> int:
     """Continue the plan of the next slot by pieces, at most `most` of them (HIGHEST: to the slot's
     end). Returns 0.
 

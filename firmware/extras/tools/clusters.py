@@ -236,7 +236,7 @@ def move_dots(
 
 
 @micropython.viper
-def store(
+def store_dots(
     values: ptr32,
     count: int,
     scale: ptr32,
@@ -353,7 +353,7 @@ class Clusters:
             # ints[ONLY] is set by read_dots(): the line has a cluster.
             count = self._dots[DOTS] if self._ints[ONLY] and flags & SPINDLE_MASK else 0
             scale = machine.state.spindle
-            store(self._values, count, scale, flags, self.powers, self._speeds, head)
+            store_dots(self._values, count, scale, flags, self.powers, self._speeds, head)
         planned = self._plan(target, flags, line, power, rate)
         if machine.planner.flow[HEAD] == head:  # no block was planned
             self.powers[CLUSTER_LENGTH * head] = 0
