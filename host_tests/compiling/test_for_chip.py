@@ -25,7 +25,7 @@ def test_constant_says_whether_the_chip_may_be_an_rp2350(arch: str, is_on: bool)
 
 
 def test_sources_without_the_constant_are_refused() -> None:
-    with pytest.raises(ValueError, match="does not say whether the chip may be an RP2350"):
+    with pytest.raises(ValueError, match="lacks the line RP2350"):
         for_chip({_LAYOUT: "RP2350 = const(2)\n"}, "armv6m")
 
 

@@ -11,7 +11,7 @@ from ..boardfile.board_check import notes
 from ..boardfile.files import board_file, load_for_build
 from ..compiling import build, freeze, motion_package
 from ..compiling.build import Build, BuildError
-from ..compiling.folder import check, save
+from ..compiling.folder import PACKAGE_LIST, save
 from ..device.deploy import ARCHS
 from ..run import stubs
 from .outputs import check_outputs, examples, save_json, words
@@ -71,7 +71,7 @@ def command(
     kind = "frozen" if frozen else "motion" if motion else ""
     folder = out or _FOLDER / kind / (Path(board).stem if board else arch)
     try:
-        check(folder, is_named=out is not None)
+        _check(folder, is_named=out is not None)
         described = load_for_build(board_file(board)) if board else None
         check_outputs(json_file, folder / "main.mpy", given=locals())
         made = _make(board, getattr(described, "MPY_ARCH", arch), kind)
@@ -89,6 +89,18 @@ def command(
     if json_file:
         sizes = {name: len(content) for name, content in made.files.items()}
         save_json({"arch": made.arch, "bytes": made.bytes, "files": sizes}, json_file)
+
+
+def _check(folder: Path, is_named: bool) -> None:
+    """Raise BuildError if this is no folder or, if the user has named it, if a build in it would
+    write over other files than a build's."""
+    if folder.exists() and not folder.is_dir():
+        raise BuildError(f"{folder} is no folder")
+    if is_named and folder.exists() and any(folder.iterdir()):
+        # A build has one of them: a list for mip, or with --frozen this module.
+        in_every_build = (PACKAGE_LIST, "boot/power_up.mpy")
+        if not any((folder / name).is_file() for name in in_every_build):
+            raise BuildError(f"{folder} has other files: name a new folder, or an empty one")
 
 
 def _make(board: str | None, arch: str, kind: str) -> Build:

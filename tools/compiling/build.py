@@ -6,7 +6,6 @@ modules it needs.
 
 import ast
 import hashlib
-import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -44,15 +43,13 @@ _SWITCHED: dict[str, tuple[tuple[str, ...], object]] = {
     "ports.net.page_link": (("PAGE",), True),
     "pio.beam": (("TOOL",), "laser"),
 }
-# The API for extras; left out of a board without extras.
-_EXTRAS_API = "extras.api"
 # The placeholder for the id in base/errors.py; compiled firmware has its own id here.
 _OF_SOURCES = '"--------"'
 _DIGITS = 8
 # The module whose constant says that the chip may be an RP2350.
 _LAYOUT = "pio.state_layout"
 _CHIP = "RP2350"
-_CHIP_LINE = re.compile(rf"^{_CHIP} = const\(1\)$", re.MULTILINE)
+_CHIP_LINE = f"\n{_CHIP} = const(1)\n"
 
 
 class BuildError(Exception):
@@ -119,12 +116,9 @@ def for_chip(sources: Mapping[str, str], arch: str) -> dict[str, str]:
     """
     result = dict(sources)
     if _CHIP not in processors(arch):
-        result[_LAYOUT], count = _CHIP_LINE.subn(f"{_CHIP} = const(0)", result[_LAYOUT])
-        if count != 1:
-            raise ValueError(
-                f"{_LAYOUT} does not say whether the chip may be an {_CHIP}: "
-                f"it needs a line {_CHIP} = const(1)"
-            )
+        if _CHIP_LINE not in result[_LAYOUT]:
+            raise ValueError(f"{_LAYOUT} lacks the line {_CHIP_LINE.strip()}")
+        result[_LAYOUT] = result[_LAYOUT].replace(_CHIP_LINE, f"\n{_CHIP} = const(0)\n")
     return result
 
 
@@ -188,7 +182,7 @@ def _needed_modules(texts: Mapping[str, str], board: ModuleType) -> list[str]:
     extras = _extras(board)
     allowed = {name: text for name, text in texts.items() if not _is_switched_off(board, name)}
     if not extras:
-        allowed.pop(_EXTRAS_API, None)
+        allowed.pop("extras.api", None)  # nothing uses it
     unused = _unused_engines_and_links(board)
     return sorted(imported_by(allowed, [module(START), *extras], unused))
 

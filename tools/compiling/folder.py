@@ -5,22 +5,10 @@ from pathlib import Path
 
 from .. import __version__, paths
 from . import motion_package
-from .build import KERNELS, LIBRARY, START, Build, BuildError, sources, texts
+from .build import KERNELS, LIBRARY, START, Build, sources, texts
 from .inline import inline
 
-_PACKAGE_LIST = "package.json"
-
-
-def check(folder: Path, is_named: bool) -> None:
-    """Raise BuildError if this is no folder or, if the user has named it, if a build in it would
-    write over other files than a build's."""
-    if folder.exists() and not folder.is_dir():
-        raise BuildError(f"{folder} is no folder")
-    if is_named and folder.exists() and any(folder.iterdir()):
-        # A build has one of them: a list for mip, or with --frozen this module.
-        in_every_build = (_PACKAGE_LIST, "boot/power_up.mpy")
-        if not any((folder / name).is_file() for name in in_every_build):
-            raise BuildError(f"{folder} has other files: name a new folder, or an empty one")
+PACKAGE_LIST = "package.json"
 
 
 def save(made: Build, folder: Path, for_mip: bool = True) -> None:
@@ -29,7 +17,7 @@ def save(made: Build, folder: Path, for_mip: bool = True) -> None:
     Compiled files of an older build are removed. Unchanged files are not written again, because
     MicroPython is rebuilt if a frozen file is newer.
     """
-    files = made.files | ({_PACKAGE_LIST: package_list(made).encode()} if for_mip else {})
+    files = made.files | ({PACKAGE_LIST: package_list(made).encode()} if for_mip else {})
     for part in folders(made):
         for old in (folder / part).glob("*.mpy"):
             if old.relative_to(folder).as_posix() not in made.files:

@@ -15,10 +15,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from .c_text import BITS, Function, c_name
+from .c_text import Function, c_name
 from .cache import cached
 from .compilers import PROCESSORS, llvm
-from .viper import Key, Module
+from .viper import BITS, Key, Module
 
 _TARGET = "thumb-freestanding-eabi"
 _FLAGS = (

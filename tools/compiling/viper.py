@@ -6,8 +6,8 @@ from collections.abc import Iterable, Iterator, Mapping, MutableMapping
 
 from .inline import constants, imported
 
-POINTERS = {"ptr8", "ptr16", "ptr32"}
-CASTS = {"int", "uint", "bool", *POINTERS}
+BITS = {"ptr8": 8, "ptr16": 16, "ptr32": 32}  # by pointer type
+CASTS = {"int", "uint", "bool", *BITS}
 
 # Module and name of a function.
 Key = tuple[str, str]
@@ -95,7 +95,7 @@ def type_of(node: ast.expr, known: Mapping[str, str]) -> str:
             return known.get(name, "object")
         case ast.Call(ast.Name(name)) if name in CASTS:
             return name
-        case ast.Subscript(value) if type_of(value, known) in POINTERS:
+        case ast.Subscript(value) if type_of(value, known) in BITS:
             return "int"
         case ast.UnaryOp(_, value) | ast.IfExp(body=value):
             return type_of(value, known)

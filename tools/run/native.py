@@ -8,9 +8,9 @@ borrowed for the duration of a call. Only modules without hardware are translate
 
 from collections.abc import Mapping
 
-from ..compiling.c_text import BITS, Function
+from ..compiling.c_text import Function
 from ..compiling.inline import inline
-from ..compiling.viper import Module
+from ..compiling.viper import BITS, Module
 
 OURS = __package__.partition(".")[0]
 # Layers that do not depend on hardware.
