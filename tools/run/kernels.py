@@ -139,17 +139,21 @@ class _Memory(ctypes.Structure):
 
 
 class _Pointer:
-    """Converts buffers to pointers to items of `size` bytes. Pointers to arrays are kept."""
+    """Converts buffers to pointers to items of `size` bytes.
+
+    known: the address of a buffer's _Memory, by the buffer's id. It has only buffers that are kept
+    alive, because another object may get the id of a freed one.
+    """
 
     def __init__(self, size: int) -> None:
         self._size = size
-        self.known: dict[int, int] = {}  # address of _Memory by id of the buffer
+        self.known: dict[int, int] = {}
         self._kept: list[object] = []
-        self._before: list[object] = []
+        self._kept_before: list[object] = []
 
     def __call__(self, memory: Any) -> Any:
-        """Return the argument for a buffer that is not in `known`: the address of its pointer, by
-        the id of the buffer. Only buffers that are kept alive get into it."""
+        """Return a buffer that is not in `known` as an argument of a C function, and add it to
+        `known`, unless it is a view for one call."""
         from micropython import kept_views
 
         bytes_long = memoryview(memory).nbytes
@@ -159,11 +163,10 @@ class _Pointer:
             start = ctypes.c_char.from_buffer(bytearray(memory))
         pointer = _Memory(ctypes.addressof(start), bytes_long // self._size)
         pointer.start = start  # keeps the buffer alive; a copy has no other reference
-        # Other views are made for one call, and their id is used again.
         if not isinstance(memory, memoryview) or kept_views.get(id(memory)) is memory:
             if len(self._kept) >= _MOST_KEPT:
-                # Keep the old ones for this call: another argument may be one of them.
-                self._before, self._kept = self._kept, []
+                # Not freed yet: another argument of this call may be one of them.
+                self._kept_before, self._kept = self._kept, []
                 self.known.clear()
             self._kept.append((memory, start, pointer))
             self.known[id(memory)] = ctypes.addressof(pointer)

@@ -99,7 +99,7 @@ class ProgramLink(machine.UntimedLink):
         self._begun_output = ""  # the beginning of an output line
         self._idle_reads = 0  # reads without data since the last byte
         self.last_event: int = rig.now  # tick of the last event
-        self._resume_at = 0  # tick of the next cycle start for a held machine
+        self._next_resume = 0  # tick of the next cycle start for a held machine
 
     def program(
         self,
@@ -294,7 +294,7 @@ class ProgramLink(machine.UntimedLink):
         run = rig.controller.state.run
         if rig.moving():
             self.last_event = rig.now
-        elif run & (state.HOLD | state.DOOR) and rig.now >= self._resume_at:
+        elif run & (state.HOLD | state.DOOR) and rig.now >= self._next_resume:
             self._resume()
             return
         elif run == state.SLEEP:
@@ -317,10 +317,10 @@ class ProgramLink(machine.UntimedLink):
             )
 
     def _resume(self) -> None:
-        """Send a cycle start, and note the pause. _resume_at: the tick before which no other is
-        sent."""
+        """Send a cycle start, and note the line of the pause. No other cycle start is sent before
+        the tick _next_resume, so that the firmware has time to go on."""
         self._to_firmware += CYCLE_START
-        self._resume_at = self.rig.ms(_RESUME_MS)
+        self._next_resume = self.rig.ms(_RESUME_MS)
         if self.now_at() not in self.result.pauses[-1:]:  # each line once
             self.result.pauses.append(self.now_at())
 
