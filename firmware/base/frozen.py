@@ -27,7 +27,8 @@ def in_memory(function: "Callable[..., object]") -> "Callable[..., object]":
 
     Kernels keep data words among their code (tools/compiling/machine_code.py), and words that the
     code reads may lie where flash cannot be read as data. In MicroPython's function object, the
-    address of the code is replaced by that of the copy. Returns the function.
+    address of the code is replaced by that of the copy, which the garbage collector finds there.
+    Returns the function.
     """
     object_at = id(function)
     if type(function).__name__ == "closure":

@@ -137,7 +137,7 @@ class Settings:
         axes: int,
         defaults: "dict[int, float]",
     ) -> None:
-        # Set by a board: a limit of step rates ($100-$112), and the shortest pulse ($0).
+        # Set by a board: a limit of step rates ($100-$112; 0: none), and the shortest pulse ($0).
         self.max_step_hz = 0
         self.step_pulse_min_us = _SHORTEST_PULSE_US
         # An extra may replace the rows, or the name of the file.
@@ -168,8 +168,8 @@ class Settings:
     # Storage
 
     def load(self) -> bool:
-        """Read the stored settings. Returns False if they are lost and defaults were restored;
-        with defaults because none were ever stored, True."""
+        """Read the stored settings. If they are damaged, or none were ever stored, restore the
+        defaults. Returns False if they were damaged."""
         lines = self._store.load(self.file)
         if not lines:  # None: they are damaged; an empty list: none were ever stored
             self.restore()
@@ -200,8 +200,8 @@ class Settings:
         else:
             if self._fault(key, value):
                 raise ValueError(line)
-            if key == 0:
-                value = max(value, self.step_pulse_min_us)  # the board's drivers may be others now
+            if key == 0:  # the step pulse: the board's drivers may be others now
+                value = max(value, self.step_pulse_min_us)
             self._store_value(row, axis, value)
 
     def save(self) -> None:
@@ -302,7 +302,7 @@ class Settings:
         if fault:
             raise GrblError(fault)
         row, axis = self.row(number)
-        check = _CHECKS.get(row[0])  # by the first number of a row
+        check = _CHECKS.get(row[0])  # by the first number of a row; raises GrblError
         if check:
             check(self, axis, amount)
         self._store_value(row, axis, amount)

@@ -145,11 +145,11 @@ class State:
     def clear(self) -> None:
         """Reset everything except the run state and the pending events and alarm."""
         self.invalidate_lines()
-        self.suspend = 0  # mask, from HOLD_COMPLETE on
+        self.suspend = 0  # mask of HOLD_COMPLETE to JOG_CANCEL
         self.soft_limit = False  # the alarm of a soft limit follows, once motion has stopped
         self.holding = False  # motion is slowing down, or has stopped, for a hold
         self.system_motion = False  # a parking move is being executed
-        self.update_spindle = False  # power must be set again while nothing moves
+        self.update_spindle = False  # power must be set again: see Overrides.override_spindle()
         self.stop_override = 0  # mask of STOP_…
         self.feed_override = 100
         self.rapid_override = 100

@@ -30,7 +30,8 @@ if TYPE_CHECKING:
 
 
 class Options:
-    """The options that wiring.py reads. Raises ValueError if an extra is impossible."""
+    """The options that wiring.py reads. An extra's prepare() may replace any of them. Raises
+    ValueError if an extra is impossible."""
 
     def __init__(self, board: "ModuleType") -> None:
         option = board.__dict__.get  # getattr() would intern the names for good
@@ -60,7 +61,6 @@ class Options:
         self.max_step_hz: int = option("MAX_STEP_RATE_HZ", 0)
         self.step_pulse_min_us: int = option("STEP_PULSE_MIN_US", 3)
         self.echo: bool = option("ECHO", False)
-        # An extra's prepare() may replace what follows, before the machine is built.
         self.custom = select_extras.custom_modules(board)
         self.job_files: "JobFiles | None" = None
         self.driver_wire: "DriverWire | None" = None
@@ -76,7 +76,7 @@ class Options:
         self.canon: "type[Canon]" = Canon
         self.report: "type[Report]" = Report
         self.spindle: "type[Spindle]" = Spindle
-        self.reads = READS  # which bytes are removed from a line
+        self.reads = READS  # real-time bytes, and what a line too long becomes
         self.highest_tool = HIGHEST_TOOL
         self.line_length = LINE_LENGTH
         for extra in self.extras:

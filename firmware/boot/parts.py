@@ -122,7 +122,7 @@ def uart() -> "BoardLink":
 
 
 def wifi() -> "BoardLink":
-    """Create the link of a Pico W: its USB, and Wi-Fi."""
+    """Create the link of a Pico W: its USB, and Wi-Fi, with PAGE also for the page."""
     import board
     from ports.net import wifi as air
     from ports.usb.usb_link import UsbLink
@@ -135,7 +135,7 @@ def wifi() -> "BoardLink":
 
 
 def uart_wifi() -> "BoardLink":
-    """Create the link of an ESP32: its UART, and Wi-Fi."""
+    """Create the link of an ESP32: its UART, and Wi-Fi, with PAGE also for the page."""
     import board
     from ports.net import wifi as air
     from ports.uart_link import UartLink
@@ -328,10 +328,11 @@ def _build(
         forget(name)
     if link.is_slow:  # Ctrl-X waits for the main loop
         machine.report.identity += _SLOW_RESET
-    # Some engines must be notified after a write to flash, which stops all interrupts.
+    # A write to flash stops all interrupts: the supervisor then allows the loop a longer turn,
+    # and some engines must be notified after it.
     notify_engine = getattr(engine, "flash_written", None)
     store.before, store.after = machine.around_saves(watch.allow, notify_engine)
-    link.attach(machine.at_rest, machine.welcome)
+    link.attach(machine.at_rest, machine.welcome)  # may the REPL be requested; greet a sender
     return machine
 
 

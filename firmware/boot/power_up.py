@@ -52,7 +52,7 @@ def build() -> "Parts | None":
 
 def run_machine(parts: "Parts | None") -> "Controller | None":
     """Run the machine, for ever or until the REPL is requested; return it, or None without parts.
-    main.py calls this, not build(), because an interrupt needs the rest of the stack."""
+    main.py calls this after build() has returned: an interrupt needs that part of the stack."""
     if parts is None:
         return None
     machine, link, port, engine, watch, later = parts

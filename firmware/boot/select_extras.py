@@ -65,7 +65,7 @@ def extra_names(board: "ModuleType", with_custom: bool) -> "list[str]":
     option = board.__dict__.get  # getattr() would intern the names for good
     # _ORDER: pairs of an option and the module that it selects, "" for one of WORDS.
     selected = [_module(word, option(word), module) for word, module in _ORDER]
-    own: "tuple[str, ...]" = option("EXTRAS", ())
+    own: "tuple[str, ...]" = option("EXTRAS", ())  # modules of the user
     # Last, because they handle only words that nothing else accepts.
     last = [
         "custom.user_modules" if with_custom else "",
@@ -75,8 +75,8 @@ def extra_names(board: "ModuleType", with_custom: bool) -> "list[str]":
 
 
 def _module(option: str, value: "Any", module: str) -> str:
-    """Return the module that the option selects by its value, None if it is not set; "" for none.
-    module: that of _ORDER."""
+    """Return the module that the option selects, or "". value: the board file's, None if it is
+    not set; module: that of _ORDER."""
     if option in WORDS:  # the value is a word, which selects one of several modules
         return "" if value is None else known(option, value, WORDS[option])
     if option == "LINK":
@@ -132,7 +132,8 @@ def check_excluded(extra: "Extra", board: "ModuleType") -> None:
 
 
 def pin_options(board: "ModuleType") -> "tuple[str, ...]":
-    """Return the names of the board file's entries with pins of the selected extras."""
+    """Return the names of the board file's entries with pins of the selected extras; custom
+    modules have none."""
     options: "tuple[str, ...]" = ()
     for module in import_extras(extra_names(board, with_custom=False)):
         options += getattr(module, "PINS", ())

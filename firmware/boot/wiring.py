@@ -59,6 +59,7 @@ def build(
     _make_language(machine, options)
     _make_talk(machine, options, link)
     _connect(machine)
+    # These write flash themselves, and call the store's before() and after().
     if options.job_files:
         options.job_files.connect(store, link)
     if options.power_input:

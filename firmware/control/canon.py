@@ -61,7 +61,7 @@ def check_travel(target: ptr32, travel: ptr32, flow: ptr32) -> int:
             side = i + ((signs[4 * i + 3] >> 7) << 3)
             if mm > travel[TRAVEL + i] or (travel[SHUT] >> side) & 1:
                 reasons = OUTSIDE
-    return reasons | int(full(flow))
+    return reasons | int(full(flow))  # FULL or 0
 
 
 class Canon:
@@ -306,7 +306,7 @@ class Canon:
 
     def safe(self) -> None:
         """Switch spindle and coolant off at once, and notify the extras."""
-        self._spin(0, 0.0)
+        self._spin(0, 0.0)  # 0: OFF
         self._cool(0)
 
     def end_program(self) -> None:

@@ -236,11 +236,10 @@ class HomingProbing:
                 if hit:  # stop the motors of these axes; the others go on
                     searching &= ~hit
                     engine.lock(self._kinematics.stopped_by(hit) if self._kinematics else hit)
+            self._motor_control.check_engine()  # first, because a failed engine is idle, too
             if self._failed(approach, axes):
                 self._motor_control.reset()
                 self._canon.service()  # raises Abort
-            # First, because a failed engine is idle, too.
-            self._motor_control.check_engine()
             if engine.idle():  # the pull-off is complete
                 break
             if searching:

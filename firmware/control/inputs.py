@@ -42,8 +42,8 @@ class Inputs:
         return self._port.limits() ^ self._limit_invert  # a low pin is a 1, unless $5
 
     def active(self) -> int:
-        """Return a mask of all active inputs, from bit 0 on in the order of Pn: in a status
-        report: probe, limits of six axes, door, reset, hold, start."""
+        """Return a mask of all active inputs, from bit 0 on in the order of a status report's Pn:
+        probe, limits of six axes, door, reset, hold, start."""
         levels = (self._levels() ^ self._inverted) & self._watched
         if not levels:
             return 0  # the common case

@@ -157,18 +157,18 @@ class MotorControl:
         self._after_alarm = after
 
     def enter_alarm(self) -> "Callable[[], None] | None":
-        """Enter the state Alarm; after a reset with spindle, coolant and motors off. Returns the
-        function to call after the alarm is reported, or None."""
+        """Enter the state Alarm. After a reset, switch spindle and coolant off and begin the idle
+        delay. Returns the function to call after the alarm is reported, or None."""
         state = self._state
-        # A reset has switched all off by the port's kill(), which lasts only until arm(). This
-        # lasts until a command switches it on.
+        # At a reset the port's kill() has switched these off, but only until arm(). This lasts
+        # until a command switches them on.
         if state.pending[st.RESET]:
             self._spindle.stop()
             self._coolant.stop()
             if self.moving:
                 self.release()
             if state.run == st.HOMING:
-                self.in_idle_delay = False  # motors stay powered until the reset
+                self.in_idle_delay = False  # motors stay powered until Controller.restart()
         state.enter(st.ALARM)
         after, self._after_alarm = self._after_alarm, None  # it is called once only
         return self._report_fault if state.alarm == errors.ALARM_INTERNAL else after
@@ -197,8 +197,8 @@ class MotorControl:
             self._end_idle_delay()
 
     def check_engine(self) -> None:
-        """Raise RuntimeError with the engine's text if it has failed: motion late for its own
-        schedule, …"""
+        """Raise RuntimeError with the engine's text if it has failed, for example because
+        motion is late for its own schedule."""
         fault = self._engine.fault()
         if fault:
             raise RuntimeError(fault)

@@ -99,9 +99,9 @@ class Overrides:
         resumes or ends."""
         state, spindle = self._state, self._spindle
         state.invalidate_lines()
-        is_at_rest = state.run in (st.IDLE, st.ALARM) and self._planner.empty()
-        state.update_spindle = not is_at_rest
-        if is_at_rest:
+        nothing_moves = state.run in (st.IDLE, st.ALARM) and self._planner.empty()
+        state.update_spindle = not nothing_moves
+        if nothing_moves:
             if spindle.is_on():
                 spindle.restore(self._modes.modal[SPINDLE], self._modes.rates[RPM])
             return

@@ -130,7 +130,7 @@ class Realtime:
         if not state.run & (st.ALARM | st.CHECK):
             if state.run & (st.RUN | st.JOG):
                 self._slow_down(sleep)
-            elif state.run == st.IDLE or (door and state.run == st.HOMING):  # which is ending
+            elif state.run == st.IDLE or (door and state.run == st.HOMING):  # homing is ending
                 state.suspend = st.HOLD_COMPLETE  # there is nothing to slow down
             if cancel and not state.run & st.JOG:
                 state.suspend |= st.MOTION_CANCEL
@@ -217,7 +217,7 @@ class Realtime:
             self._planner.clear()
             self._resync()
             state.holding = False
-        # As in Grbl, `holding` stays after a probe's contact: a reset before motion is an alarm.
+        # As in Grbl, `holding` stays after a contact: until motion starts, a reset is an alarm.
         if state.suspend & st.DOOR_AJAR:  # it was opened during a jog, which has ended now
             state.suspend = state.suspend & ~st.JOG_CANCEL | st.HOLD_COMPLETE
             state.enter(st.DOOR)

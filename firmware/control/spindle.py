@@ -100,8 +100,8 @@ class Spindle:
     """One PWM spindle with a direction pin.
 
     enable_by_direction: that pin is an enable pin instead (_has_enable); M3 and M4 are then the
-    same. laser: laser mode ($32). _power: in PWM steps. _direction: CW or CCW, of the pin.
-    _reversed: M4; in laser mode power then follows the speed.
+    same. laser: laser mode ($32). _power: in PWM steps. _direction: CW or CCW, of the pin;
+    _enabled: an enable pin is set. _reversed: M4; in laser mode power then follows the speed.
     """
 
     def __init__(self, port: "Port", state: "State", enable_by_direction: bool) -> None:
@@ -137,7 +137,7 @@ class Spindle:
             int(settings.min_rpm * gradient * _FINE_PER_POWER) if gradient else 0
         )
         table[layout.POWER_MAX] = full
-        # The integer's bits, in an array of floats: power_from_rpm() reads them as an integer.
+        # Copies the integer POWER_MAX, as its bits, to the array of floats: see power_from_rpm().
         copy(memoryview(table)[layout.POWER_MAX :], memoryview(scale)[_FULL_POWER:], 1)
 
     def power(self, rpm: float) -> int:

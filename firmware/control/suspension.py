@@ -147,12 +147,12 @@ class Suspension:
             state.update_spindle = False
 
     def _stop_spindle(self) -> None:
-        """Stop the spindle, and note whether a laser was on. If no block is left, its power is the
-        programmed one: motion has ended since start()."""
+        """Stop the spindle, and note whether a laser was on. If motion has ended since start(), no
+        block is left: the programmed speed is then stored for a laser that was on."""
         self._lit = self._lit or self._state.spindle[st.RPM] > 0
         if self._spindle.laser and self._planner.empty():
             self._rpm = self._modes.rates[RPM] if self._lit else 0.0
-        self._spindle.set_speed(0, 0.0)
+        self._spindle.set_speed(0, 0.0)  # 0: OFF
 
     def _restore_spindle(self) -> None:
         """Start the spindle as it was before the hold. With planned motion a laser's power is
@@ -213,7 +213,7 @@ class Suspension:
         """Routine: undo _retract(), in the reverse order, then post a cycle start. If the door
         opens, the rest is left out."""
         state = self._state
-        # Down to where the slow part begins, unless the tool was above the parked one anyway.
+        # Down to where the slow part begins, unless the held tool was higher than a parked one.
         if self._parks and self._may_park() and self._target[_PARK_AXIS] <= _PARK_TARGET_MM:
             self._target[_PARK_AXIS] = self._waypoint
             yield from self._park_move(self._target, _PARK_RATE, with_accessories=False)

@@ -31,7 +31,7 @@ def _chip() -> "tuple[int, int, int, int]":
     """Return this chip's numbers: symbols in a block of RMT's memory, its blocks, the number of
     its first signal, and the address of pin 0's word in the GPIO matrix. Raises ValueError on an
     ESP32-S2."""
-    name = sys.implementation._machine.split(" with ")[-1].replace("-", "")
+    name = sys.implementation._machine.split(" with ")[-1].replace("-", "")  # as ESP32S3
     if name.startswith("ESP32S2"):
         raise ValueError("ENGINE = rmt is for ESP32 and ESP32-S3")
     return _ESP32_S3 if name.startswith("ESP32S3") else _ESP32

@@ -71,7 +71,7 @@ def blank(frames: ptr32, word: int) -> int:
 
 @micropython.viper
 def begin_buffer(frames: ptr32, timing: ptr32, lanes: ptr32) -> int:
-    """Start the next buffer: no steps yet, but the due changes of direction.
+    """Start the next buffer: no steps yet; the changes of direction in CHANGE_DUE are in it.
 
     Returns its first word: the outputs before any change. frames: all words are overwritten.
     """
@@ -302,7 +302,7 @@ def playing_slot(state: ptr32, notes: ptr32, slots: int, size: int) -> int:
     Buffers still in the ring are searched, the oldest first.
     """
     sent = state[SENT]
-    oldest = sent - slots + 1  # of our buffers in the ring that were handed over
+    oldest = sent - slots + 1  # of those handed over: one slot is for the next buffer
     if oldest < 0:
         oldest = 0
     for n in range(oldest, sent):

@@ -125,7 +125,7 @@ class I2sEngine(TimerEngine):
         state[s.NEXT_NUMBER] = self._buffers  # the first that can be written: see Stream.open()
         state[s.LAST_MOTION_NUMBER] = -1
         state[s.QUIET_DUE] = 1
-        for slot in range(self._slots):  # buffers are numbered from 0 again
+        for slot in range(self._slots):  # the old stream's numbers are void
             self._notes[slot * self._note_size + s.NUMBER] = -1
 
     # The StepEngine interface
@@ -147,7 +147,7 @@ class I2sEngine(TimerEngine):
         timing[frames.SETUP_FRAMES] = self._frames_of(SETUP_US)
         for i in range(self._axes):
             self._lanes[LANE * i + frames.DIR_INVERT] = dir_invert >> i & 1
-        frames.drop_row(timing, self._lanes)
+        frames.drop_row(timing, self._lanes)  # sets the levels of DIR anew
 
     def enable(self, level: int) -> None:
         """Set the level of the drivers' enable outputs, from the next buffer on. For the port."""
@@ -262,7 +262,7 @@ class I2sEngine(TimerEngine):
             place = self._notes[places_at + i] if is_filled else self._lanes[LANE * i + PLACE]
             steps[i] = place - self._owed[i]
         if not zeros_are_played:
-            frames_played = passed * FRAMES // self._buffer_us + 1
+            frames_played = passed * FRAMES // self._buffer_us + 1  # with the present one
             frames.count(self._ring[slot], frames_played, self._timing, self._lanes, steps)
 
     def set_position(self, steps: "array[int]") -> None:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from interfaces import InputListener
     from machine import Pin
 
-# Timer 0 is the engine's.
+# Timers of PortInputs; timer 0 is the engine's.
 _LOOK_TIMER = const(1)
 _CONTROL_TIMER = const(2)
 
@@ -48,7 +48,7 @@ class EspPort(PortPins):
         super().attach(listener)
 
     def poll_inputs(self) -> None:
-        """Handle inputs that have changed since the last call as if their interrupts had come.
+        """Handle changed inputs as if their interrupts had come.
 
         ..._polled: levels that the last call has found; ..._seen: those reported last.
         ..._disarmed, _is_settling: a timer runs, which will read the inputs itself.
@@ -64,7 +64,7 @@ class EspPort(PortPins):
         if self._estop and self._estop.value() != self._estop_polled:
             self._estop_polled = self._estop.value()
             self._control_changed(self._estop)
-        self._look_at_probe()
+        self._look_at_probe()  # reports a contact, if one is waited for
         if self._sensors_polled >= 0 and self.sense() != self._sensors_polled:
             self._sensors_polled = self.sense()
             if not self._sensors_disarmed:

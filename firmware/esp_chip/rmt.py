@@ -117,7 +117,7 @@ class RmtEngine(TimerEngine):
         self._row_size = row_length(axes)
         self._row = array("i", (0 for _ in range(self._row_size)))
         self._rows = array("i", (0 for _ in range(self._row_size * trains.ROWS)))
-        # Per axis: the train being played, the next one, and the list for RMT.
+        # Per axis: the train being played; the next one, its number of durations; RMT's list.
         self._playing = [array("i", (0 for _ in range(2 * most))) for _ in range(axes)]
         self._next = [array("i", (0 for _ in range(2 * most))) for _ in range(axes)]
         self._counts = array("i", (0 for _ in range(axes)))
@@ -158,7 +158,7 @@ class RmtEngine(TimerEngine):
             state[_REPORTED_POWER] = -1
             now = time.ticks_us()
             rest_us = time.ticks_diff(state[_FREE_US], now)
-            channels_are_busy = state[_WAS_CUT_OFF] and 0 < rest_us < LOST_US
+            channels_are_busy = state[_WAS_CUT_OFF] and 0 < rest_us < LOST_US  # above: wrapped
             if not channels_are_busy:
                 state[_FREE_US] = now & MASK
             state[_WAS_CUT_OFF] = 0
@@ -236,7 +236,7 @@ class RmtEngine(TimerEngine):
         """Do one turn: prepare the next train, and start it when the last one has ended."""
         state = self._state
         if state[_STOPPED] or not state[_RUNNING]:  # turns queued before deinit() still run
-            state[_RUNNING] = 0
+            state[_RUNNING] = 0  # also if stop() has interrupted start()
             self._timer.deinit()
             return
         now = time.ticks_us()
@@ -389,7 +389,7 @@ class RmtEngine(TimerEngine):
         lanes[lane + _DURATIONS] = count
         error_us = took_us - expected
         state[_WORST_SKEW_US] = max(state[_WORST_SKEW_US], abs(error_us))
-        correction_us = min(max(error_us, -_HELD_UP_US), _HELD_UP_US) // 4  # a part of it
+        correction_us = min(max(error_us, -_HELD_UP_US), _HELD_UP_US) // 4  # smoothed
         estimate = max(lanes[lane + _CALL_TIME_US] + correction_us, _LEAST_CALL_US)
         lanes[lane + _CALL_TIME_US] = min(estimate, _MOST_CALL_US)
         end_us = (before_us + took_us + trains.lasts(playing, count) + _GUARD_US) & MASK

@@ -63,7 +63,7 @@ def choose_end(rows: ptr32, timing: ptr32, size: int) -> int:
     axes_in_train = 0  # mask of axes that step in the train so far,
     dirs = 0  # and their directions
     total_us = 0 - timing[DONE_US]  # its length
-    room = timing[MOST_STEPS]  # steps that still fit into a channel
+    space = timing[MOST_STEPS]  # steps that still fit into a channel
     best_interval = 0  # us per step in the row that ends the train best so far
     timing[ROWS_TAKEN] = 0
     timing[PART_US] = 0
@@ -93,19 +93,19 @@ def choose_end(rows: ptr32, timing: ptr32, size: int) -> int:
         if least_gap > 0 and rest // least_gap + 1 < most_steps:
             row_steps = rest // least_gap + 1
         total_us += rows[at]
-        if k and (total_us > LONGEST_US or row_steps > room):
+        if k and (total_us > LONGEST_US or row_steps > space):
             break
         axes_in_train |= axes_in_row
         dirs |= rows[at + ROW_DIRS] & axes_in_row
         timing[DIRS] = dirs
-        if total_us > LONGEST_US or row_steps > room:  # the first row: cut it
+        if total_us > LONGEST_US or row_steps > space:  # the first row: cut it
             end = LONGEST_US
-            if row_steps > room and least_gap * room < end:
-                end = least_gap * room
+            if row_steps > space and least_gap * space < end:
+                end = least_gap * space
             timing[PART_US] = int(part(rows, timing, at, timing[DONE_US] + end))
             timing[LENGTH_US] = timing[PART_US] - timing[DONE_US]
             break
-        room -= row_steps
+        space -= row_steps
         interval = rows[at] // most_steps if most_steps else LONGEST_US
         if total_us < _ANY_END_US or interval + (interval >> 2) >= best_interval:
             timing[ROWS_TAKEN] = k + 1
@@ -140,10 +140,9 @@ def part(rows: ptr32, timing: ptr32, at: int, end: int) -> int:
 @micropython.viper
 def durations(rows: ptr32, timing: ptr32, size: int, axis: int, out: ptr32) -> int:
     """Make one axis' train in `out`: durations in us, a pause, a pulse, and so on. Returns their
-    number; 0 if the axis does not step.
+    number: 0 if the axis does not step, -1 if they do not fit into a channel's memory.
 
-    -1: it is longer than a channel, which would lose steps. size: integers in a row. The first
-    duration is the time to the first step.
+    size: integers in a row. The first duration is the time to the first step.
     """
     if (timing[LOCKED] >> axis) & 1:
         return 0

@@ -51,8 +51,8 @@ _RENAMED = {
 class Cnc:
     """The machine, as an extra sees it. Units are Grbl's: mm, mm/min, rpm. entries: each returns
     why a program cannot be entered at a line in its middle now, or "". cycles: each has an
-    attribute `kept`, what holds for its next line. job: the running job of a board with JOBS, else
-    None."""
+    attribute `kept`, what holds for its next line; job_entry.py restores it. job: the JobRun of a
+    board with JOBS, also while no job runs; else None."""
 
     def __init__(self, machine: "Controller") -> None:
         self._machine = machine
@@ -139,8 +139,8 @@ class Cnc:
         """Add an M word, on a line of its own. ValueError if the word is taken.
 
         call gets the numbers of `letters`, in that order. A lower-case letter may be missing on
-        the line, and is None then. call runs when motion has ended, or with sync=False during
-        motion. In check mode it is not called.
+        the line, and is None then. call runs when motion has ended, or with sync=False at once,
+        also during motion. In check mode it is not called.
         """
         self._words.add("M", number, call, letters, sync)
 
@@ -160,10 +160,10 @@ class Cnc:
     ) -> None:
         """Add a canned cycle such as G81: a motion mode whose lines are several moves each.
 
-        plan(here, target, ...) gets two positions, each a list of mm in machine coordinates, and
-        the numbers of `letters` (of I J K L P R) in that order; R is a height, as Z is. It raises
-        refusal() if the line is wrong, before anything has changed; a generator would raise it too
-        late. It returns the moves: the target of each, and whether it is a rapid.
+        plan(here, target, ...) gets the line's start and target, each a list of mm in machine
+        coordinates, and the numbers of `letters` (of I J K L P R) in that order; R is a height, as
+        Z is. It raises refusal() if the line is wrong, before anything has changed; a generator
+        would raise it too late. It returns the moves: each one's target, and if it is a rapid.
 
         Z and the numbers hold for the following lines. Each must have been given once, except
         lower-case letters, which may be None. number: 81 to 99. ValueError if it is taken.

@@ -42,7 +42,7 @@ def _tenths(number: float) -> int:
 
 
 def is_grbls(letter: str, tenths: int) -> bool:
-    """Return whether Grbl has that G or M word, or has an error of its own for its decimals.
+    """Return whether Grbl has that G or M word, or an error other than "unsupported" for it.
 
     tenths: the word's number in tenths.
     """

@@ -116,7 +116,7 @@ class PowerFail:
 
     @micropython.native
     def on_fail(self) -> None:
-        """Switch the tool off and slow down. Interrupt.
+        """Switch the tool off and slow down. Interrupt, or main loop if no edge was seen.
 
         Homing stops at once: nothing is known that could be recorded.
         """
@@ -165,7 +165,7 @@ class PowerFail:
                 if self._unread_since == _SINCE_WRITING and self._machine.at_rest():
                     self._report_records()
                 return
-            self.on_fail()
+            self.on_fail()  # no edge was seen
         if self._phase != _OVER:
             self._advance_stop()
         elif self._input.is_good():

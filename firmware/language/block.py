@@ -179,7 +179,7 @@ def store_words(
 ) -> int:
     """Store words in their order. Returns Grbl's error number of the first wrong one, or 0.
 
-    letters, values: count words, as of words.scan(). index: a block's; words: the dictionary.
+    letters, values: count words, as of words.scan(). index, words: Block._index, Block._rows.
     ints, xyz, singles: the block's. store_rare: a function that stores word i, a G or M word that
     `byte` cannot read, or that needs decimals.
     """
@@ -234,7 +234,7 @@ def read(
     axes: int,
     words: object,
 ) -> int:
-    """Copy a modal state, and store the words of line[start:end], which ends with a 0.
+    """Copy a modal state, and store the words of line[start:end], where line[end] is 0.
 
     span: end << 8 | start. ints, singles, xyz: those of a block; words: Block.words. Returns
     Grbl's error number of the first wrong word, or 0.
@@ -319,7 +319,7 @@ class Block:
         return read.letters, read.values, index, rows, read_on, own, self._store_rare
 
     def add_motion(self, number: int) -> None:
-        """Add a G number as a motion mode of this block only."""
+        """Add a G number as a motion mode, for every line that this block reads from now on."""
         self._index[number] = len(self._rows) // ROW
         # As add_word(), but in a copy of the dictionary, because other blocks share that.
         row = bytes((mode.MOTION, number, b.AXES_FOR_MOTION, 0, b.GROUP_1, 0))

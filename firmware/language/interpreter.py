@@ -126,7 +126,7 @@ class Interpreter:
         self.motions[number] = motion
 
     def execute(self, line: bytearray, length: int) -> None:
-        """Interpret line[:length], which ends with a 0. Raises GrblError if it is refused."""
+        """Interpret line[:length]; line[length] is 0. Raises GrblError if it is refused."""
         modal, machine = self._modes.modal, self.machine
         # Requests of the line, if the loop has checked it already; minus an error number; or 0.
         asked = machine[b.ASKED] if line is self.line else 0

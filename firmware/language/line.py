@@ -9,7 +9,7 @@ The loop (talk/stream_loop.py) calls this for every line. The interpreter execut
 planner. Kernels unpack it, because they have no attributes. `modal` is the modal state, a value
 per modal group (control/modes.py). `machine` is Interpreter.machine, and `ints`, `singles` and
 `xyz` are the block's integers, numbers and axis words (block_layout.py). Floats are handled as
-their bits. Requests are a mask: what a line asks for beyond plain motion.
+their bits. Requests: a mask of what a line asks for, bits of block_layout.py.
 """
 
 import micropython
@@ -70,7 +70,7 @@ def check_line(text: object, span: int, modal: ptr32, jog: int, memory: object) 
     singles = ptr32(_singles)
     xyz = ptr32(_xyz)
     machine = ptr32(_machine)
-    machine[b.ASKED] = 0
+    machine[b.ASKED] = 0  # the block of the line that it belonged to is overwritten
     error = int(read(text, span, modal, ints, singles, xyz, machine[b.AXES], words))
     if error:
         return 0 - error
@@ -164,7 +164,7 @@ def run_move(asked: int, modal: ptr32, memory: object) -> int:
 def _flags(ints: ptr32, modal: ptr32, laser: int) -> int:
     """Return the flags of a block's move, for the planner (motion/layout.py). laser: 0 unless in
     laser mode."""
-    flags = modal[mode.SPINDLE] | modal[mode.COOLANT] << COOLANT_SHIFT
+    flags = modal[mode.SPINDLE] | modal[mode.COOLANT] << COOLANT_SHIFT  # their values are flags
     if laser and flags & SPINDLE_CCW:  # M4: power follows the speed
         flags |= layout.DYNAMIC
     if ints[mode.MOTION] == b.SEEK:

@@ -37,7 +37,7 @@ def store_single(number: int, power: int, values: ptr32, at: int) -> int:
     """
     # The exponent of a float whose mantissa is a whole number of 24 bits, with the bias.
     exponent = 150
-    # Round to 24 bits, halves to even. rest: the bits dropped; unit: one more than they can be.
+    # Round to 24 bits, halves to even. rest: the bits dropped; unit: 2**(how many).
     rest = 0
     unit = 1
     while number >= 1 << 24:
@@ -158,7 +158,7 @@ class Words:
         self.fault = 0
 
     def read(self, text: bytearray, start: int, end: int) -> None:
-        """Read text[start:end], which ends with a 0. Sets fault to Grbl's error number, or 0."""
+        """Read text[start:end]; text[end] is 0. Sets fault to Grbl's error number, or 0."""
         scanned = scan(text, end << 8 | start, self.letters, self.values)
         self.count = scanned & 255
         self.fault = scanned >> 8 & 255

@@ -141,7 +141,7 @@ def follow(
     flags, line, power, rate: see plan_kernel.plan_block(); flags 0: check mode, nothing moves.
     Returns the reason to pause: OUTSIDE or FULL if the next chord cannot be planned, NOWHERE if
     the last one had no steps, else 0: eight are made, or all. speeds: each block's programmed
-    spindle speed, for reports; speeds[flow[ROWS] + 1] is the arc's.
+    spindle speed, for overrides and reports; speeds[flow[ROWS] + 1] is the arc's.
     """
     reason = 0
     while reason == 0:

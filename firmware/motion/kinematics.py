@@ -38,7 +38,8 @@ class Kinematics:
 
     def axis_steps(self, motors: "array[int]", axis: int) -> int:
         """Return the steps of an axis, from those of all motors: the mean of the steps of its
-        motors, rounded towards 0. If several motors move only this axis, it is the first one's."""
+        motors, rounded towards 0. If the motor of its number moves no other axis: the steps of
+        that motor."""
         if self.moves[axis] == 1 << axis:
             return motors[axis]
         total = count = 0  # of the motors that this axis turns

@@ -52,7 +52,7 @@ _MOST_STEPS_PER_MM = 1e8  # highest steps/mm, so that nothing is divided by 0, w
 class Move:
     """How to move: one reusable record, which the caller fills in.
 
-    feed: mm/min, or lines per minute with INVERSE_TIME; flags: those of a block (layout.py and
+    feed: mm/min, or 1/min with INVERSE_TIME; flags: those of a block (layout.py and
     below); spindle_rpm: programmed speed; line_number: the N word, or 0.
     """
 

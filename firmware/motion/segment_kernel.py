@@ -300,7 +300,7 @@ def next_piece(flow: ptr32, ring: ptr32, scale: int) -> int:
                 flow[BRAKE_UNIT] = unit
                 flow[BRAKE_DISTANCE] = int(braking(fast, slow, ramp, unit))
             ramp_distance = flow[BRAKE_DISTANCE]  # between both speeds; computed if they are new
-            if speed < leave:  # it need not brake, but speed up to `leave`: more slack
+            if speed < leave:  # it speeds up: more slack; twice is enough, because it is halved
                 slack += ramp_distance if ramp_distance < slack else slack
             else:
                 slack -= ramp_distance
@@ -330,8 +330,8 @@ def next_piece(flow: ptr32, ring: ptr32, scale: int) -> int:
 
 @micropython.viper
 def is_due(flow: ptr32, ring: ptr32, motors: int) -> int:
-    """Return 1 if a segment can be planned, else 0. It needs a block, which is loaded here if none
-    is, and that no hold has stopped motion. motors: their number."""
+    """Return 1 if a segment can be planned, else 0: no hold has stopped motion, and a block is
+    loaded, or can be loaded here. motors: their number."""
     if flow[LOADED]:
         return 0 if flow[HOLD] and flow[END_SPEED] == 0 else 1
     if flow[HOLD] and flow[JOIN_SPEED] == 0:

@@ -64,7 +64,7 @@ class Segments:
         """Save the stopped block in progress, so that the system's own moves can be executed. The
         machine stands still; the next move begins at speed 0."""
         if self._saved is None:
-            self._saved = type(self._flow)("i", self._flow)  # a copy
+            self._saved = type(self._flow)("i", self._flow)  # a copy, without importing array
         self._flow[LOADED] = 0
         self._flow[END_SPEED] = 0
         self._flow[JOIN_SPEED] = 0

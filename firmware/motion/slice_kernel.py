@@ -101,7 +101,7 @@ def slices(flow: ptr32, table: ptr32, dynamic: int) -> int:
     so each row has one speed. dynamic: not 0 if power follows speed.
 
     The rows are so many that none changes the speed by more than 1/32, or 1/256 if dynamic,
-    because power is constant in a row; but none is shorter than SLICE. And they are so many that
+    because power is constant in a row; but none takes much less than SLICE. They are so many that
     motors, if several move, are off the line by at most a quarter of a step, in addition to the
     half of rounding: a row of n steps in t ticks is off by n**2 / 8t steps (leading()), so a full
     segment of 2**log2 ticks and n steps, up to 4095, takes n**2 / 2**(log2 + 1) rows.
@@ -121,7 +121,7 @@ def slices(flow: ptr32, table: ptr32, dynamic: int) -> int:
         return 1  # it is so long for the sake of one step
     shortest = table[SLICE]  # time of a row
     if dynamic:
-        shortest -= shortest >> 2  # a quarter shorter
+        shortest -= shortest >> 2  # a quarter shorter than SLICE
     count = (flow[PLANNED_TIME] + (shortest >> 1)) // shortest or 1  # as many as the time allows
     slight_change = fast >> (8 if dynamic else 5)
     steps = fast >> 18  # of a full segment at the highest speed

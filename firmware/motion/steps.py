@@ -50,7 +50,7 @@ def to_steps(target: ptr32, table: ptr32) -> int:
         # mm * steps/mm = product * 2**(exponent - 23). 253: two biases, less 1, because a
         # product is from 2 to 4. a, b: bits of mm, without the sign, and of steps/mm.
         a = target[i] & 0x3FFFFFFF
-        high = (signs[4 * i + 3] & 0x40) << 24  # bit 30 of a, which no number of 31 bits holds
+        high = (signs[4 * i + 3] & 0x40) << 24  # bit 30; a mask with it would be an object
         b = table[resolution + i]
         exponent = ((a + high) >> 23) + (b >> 23) - 253
         product = int(mantissa_product((a & _FRACTION) | _LEADING, (b & _FRACTION) | _LEADING))

@@ -133,7 +133,7 @@ class BeamEngine(PioEngine):
             chain_to=taker.channel,
         )
         mover.config(read=self._ring, write=self._unused_at, count=1, ctrl=control)
-        machine.mem32[taker_at + 4 * CREDITS] = 0  # the channel counts from 0: the FIFO is empty
+        machine.mem32[taker_at + 4 * CREDITS] = 0  # a write makes it count the FIFO's words anew
         machine.mem32[taker_at + 4 * COUNT_TRIGGER] = 1
 
     def configure(self, pulse_us: int, step_invert: int, dir_invert: int) -> None:

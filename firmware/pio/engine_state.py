@@ -56,7 +56,7 @@ from pio.pulses import (
 
 # Motion is made so far ahead of the segment that is played; a hold takes that much longer.
 LEAD = const(40_000)  # ticks; also: the clock interrupts so long before a long segment ends
-_MARGIN_US = const(20)  # later before the end of the last words, new ones might come too late
+_MARGIN_US = const(20)  # before the last words end; with less, new ones might come too late
 
 # PIO instructions that are forced into a machine.
 _PULL = const(0x8080)  # pull noblock
@@ -80,8 +80,8 @@ def read_progress(state: ptr32) -> int:
     """Update BEGUN, TICKS_AHEAD, WORDS_TO_END and RUNNING from what the hardware has played.
     Returns the spindle power to set, that of the segment begun last, or KEEP_POWER.
 
-    The clock has read words_read of its words. A row ends with the word whose number is row[ends],
-    so WORDS_TO_END > 0 means that the clock interrupts again before the segment's end.
+    The clock has read words_read of its words. A row's last word is number row[ends], from 1 on.
+    WORDS_TO_END > 0 means that the clock interrupts again before the segment's end.
     """
     pio = ptr32(state[s.CLOCK_PIO])
     waiting = (pio[reg.FLEVEL] >> 8 * s.CLOCK) & _TX_LEVEL  # words in the clock's FIFO

@@ -96,5 +96,5 @@ class Memory:
         number = axis & s.IN_BLOCK  # of the machine, in its PIO
         self.lanes[LANE * axis + MACHINE] = pio + 4 * (reg.MACHINES + reg.MACHINE_STRIDE * number)
         self.state[s.DMA + axis] = registers = reg.DMA_AT + reg.DMA_EACH * channel
-        # The channel counts its FIFO's words from 0: it is empty.
+        # A write makes the channel count its FIFO's free space anew.
         machine.mem32[registers + 4 * reg.CREDITS] = 0

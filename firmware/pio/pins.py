@@ -41,7 +41,7 @@ _WATCHDOG_ENABLE = const(1 << 30)  # bit
 _CONTROL = const(0x40016004)  # of pin 0, in the alias where ones set bits
 _CONTROL_2350 = const(0x4002A004)  # the same of an RP2350
 _CONTROL_STEP = const(8)  # bytes from one pin to the next
-_TO_CLEAR_WORDS = const(0x400)  # words from there to the alias where ones clear bits
+_TO_CLEAR_WORDS = const(0x400)  # words from that alias to the one where ones clear bits
 _OUTOVER = const(8)  # first bit of OUTOVER
 _OUTOVER_2350 = const(12)  # the same of an RP2350
 _FORCED = const(2)  # value of OUTOVER for low; + 1 for high
@@ -186,7 +186,7 @@ def _levels(gpio_in: ptr32, pins: ptr8, count: int, inverted: int) -> int:
 def _release(pads: ptr32, bits: int) -> int:
     """Clear `bits` in the control registers of all pads that kill() holds. Returns 0.
 
-    pads: the table of kill(), see _list_pads().
+    pads: the table of _list_pads(): a mark, pairs of a register's address and bits, then 0.
     """
     pads[0] = 0  # kill() is no longer in effect
     i = 1

@@ -156,7 +156,7 @@ def convert(row: ptr32, lanes: ptr32, words: ptr32, timing: ptr32) -> int:
             head = (head + 1) & RING_MASK
             carry = 0 - row[base + _FIRST_TICK] - timing[PULSE] - _AFTER_TICKS  # + ROW_TICKS below
             steps -= 1
-            if steps:  # gaps: some are a tick longer; of these half come first, half last
+            if steps:  # gaps: `longer` of them have a tick more, some first, the others last
                 span = row[base + _LAST_TICK] - row[base + _FIRST_TICK]
                 gap = span // steps
                 longer = span - gap * steps

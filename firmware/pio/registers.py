@@ -37,7 +37,7 @@ WRITE = const(1)
 COUNT = const(2)
 STATUS = const(3)
 COUNT_TRIGGER = const(7)
-CREDITS = const(0x200)  # how many words the channel counts its FIFO to have room for
+CREDITS = const(0x200)  # words that the channel expects it can move now; a write resets that
 DISABLE = const(32)
 
 # FDEBUG, from this bit on, one per machine: a word was written to a full FIFO.

@@ -52,7 +52,8 @@ class Escape:
 
     def listen(self, buf: bytearray, count: int) -> None:
         """Check the first `count` bytes of buf. Raises KeyboardInterrupt if they request the
-        prompt and that is allowed now; the prompt then reads the bytes after the request."""
+        prompt and that is allowed now. The prompt then reads what follows the Ctrl-C, also a
+        Ctrl-A (raw REPL)."""
         result = _count_interrupts(buf, count, self._interrupts)  # -1 - i: byte i requests it
         self._interrupts = max(result, 0)
         if result < 0 and self.at_rest():
@@ -92,7 +93,7 @@ class _Pusher(io.IOBase):
 
 def push(data: bytes) -> None:
     """Append bytes to those received, as if they came from outside. dupterm_notify() makes
-    MicroPython read the stream empty."""
-    before = os.dupterm(_Pusher(data))
+    MicroPython read all of them."""
+    previous = os.dupterm(_Pusher(data))
     os.dupterm_notify(None)
-    os.dupterm(before)
+    os.dupterm(previous)

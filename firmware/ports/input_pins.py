@@ -36,7 +36,7 @@ class PortInputs:
     timers: two that nothing else uses. has_hard: interrupts can be hard. A list of pins has None
     for an input that is not wired. _hard: as has_hard. _limits_seen, _controls_seen: masks
     reported last. _limits_disarmed, _sensors_disarmed: some of these pins are disarmed until the
-    look timer reads them; _look_timer_runs. _is_settling: a button was pressed and may bounce; the
+    look timer reads them; _look_timer_runs. _is_settling: a button has changed and may bounce; the
     control timer is running. _contact_level: what probe() returns at the contact waited for, at
     which _on_contact is called. _misses: edges of the probe that were over when it was read.
     _buttons: control inputs and emergency stop. _sensors: inputs of an extra; _on_sensor: called
@@ -77,7 +77,7 @@ class PortInputs:
         self._control_invert: int = option("CONTROL_INVERT", 0)
         self._debounce_ms: int = option("CONTROL_DEBOUNCE_MS", 0)
         self._estop = self._make_input(option("ESTOP", None))
-        self.after_controls: "Callable[[int], object] | None" = None
+        self.after_controls: "Callable[[int], object] | None" = None  # of extras (api.py)
         self.estop: "Callable[[], bool] | None" = self._is_open if self._estop else None
         self._buttons = list(self._controls)
         self._buttons.append(self._estop)
@@ -132,9 +132,9 @@ class PortInputs:
             self.fault = _FAILED_TWICE
 
     def _start_look_timer(self, ms: int) -> None:
-        """Let the look timer read disarmed inputs in `ms` milliseconds; with 0 in _DISARMED_MS, or
-        together with others that wait already. If the timer were restarted at every edge, it would
-        fail at last on a Pico whose main loop hangs (emulated)."""
+        """Let the look timer read disarmed inputs in `ms` milliseconds. 0: in _DISARMED_MS or, if
+        it runs already, when it is due: restarted at every edge, it failed after a while on a Pico
+        whose main loop hung (emulated)."""
         if ms or not self._look_timer_runs:
             self._look_timer_runs = True
             # Periodic until the callback ends it, because a call may get lost. Not in a function
@@ -215,8 +215,8 @@ class PortInputs:
 
     @micropython.native
     def _control_changed(self, pin: "Pin") -> None:
-        """Report a changed control input at once, then ignore bounces until _end_settling(). The
-        emergency stop is reported even then. Interrupt."""
+        """Report a changed control input at once. With a debounce time, further changes except the
+        emergency stop's are then ignored until _end_settling(). Interrupt."""
         try:
             pin.irq().trigger(0)  # disarm it
             if self._is_settling and self._debounce_ms and pin is not self._estop:
@@ -252,8 +252,8 @@ class PortInputs:
         )
 
     def _end_settling(self, timer: "Timer") -> None:
-        """Control timer's callback: arm the control inputs again, and report them if they have
-        changed meanwhile; then wait again. The emergency stop is reported while it lasts."""
+        """Control timer's callback: arm the control inputs again; if they have changed meanwhile,
+        report them and wait again. An emergency stop that is still pressed is reported again."""
         try:
             timer.deinit()
             self._is_settling = False
@@ -320,7 +320,7 @@ class PortInputs:
         """Call on_contact, once, if the probe has the level that is waited for."""
         if self.probe() != self._contact_level:
             return
-        on_contact = self._on_contact  # after the pin is read: an interrupt may have come first
+        on_contact = self._on_contact  # only now: None if an interrupt has just called it
         self._on_contact = None
         if on_contact:
             on_contact()

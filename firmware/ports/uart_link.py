@@ -27,7 +27,7 @@ _PIECE = const(64)  # bytes that a UART's buffer takes without waiting
 class UartLink:
     """A Link. shared: memory shared with the supervisor, by the indices of link_memory.py.
     poll_reset is None: Ctrl-X can be found only by reading. check_supervisor: the supervisor's,
-    called in the main loop, which raises. on_poll: called in every turn."""
+    called in the main loop, which raises. on_poll: called at each read."""
 
     poll_reset = None
     is_slow = False  # Ctrl-X is read as soon as this chip's MicroPython can
@@ -36,7 +36,7 @@ class UartLink:
         micropython.kbd_intr(-1)  # Ctrl-C is an ordinary byte
         self.check_supervisor: "Callable[[], None]" = lambda: None
         self.on_poll: "Callable[[], None]" = lambda: None
-        self.shared = array.array("i", (0, 0, 0))
+        self.shared = array.array("i", (0, 0, 0))  # LOOP_HAS_READ, STOP_CAUSE, AWAY_MS
         self._in: "Any" = sys.stdin.buffer
         self._out: "Any" = sys.stdout.buffer
         self._byte = bytearray(1)

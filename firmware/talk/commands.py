@@ -99,8 +99,8 @@ class Commands:
         self._store.save(_STARTUP, self._startup)
 
     def run_startup(self) -> None:
-        """Execute the startup lines that are not empty, and print an answer to each. If the stored
-        ones were invalid, report that once instead."""
+        """Execute the startup lines that are not empty, and print an answer to each. If load() has
+        found them invalid, the first call reports each as lost instead."""
         for text in self._startup:
             if not self._startup_valid:
                 self._report.startup_lost()
@@ -336,7 +336,7 @@ class Commands:
             self._keep_startup()
 
     def _set(self, line: bytearray, _length: int) -> None:
-        """Execute $number=value, after all planned motion. The setting is rounded down to an
+        """Execute $number=value, after all planned motion. The number is rounded down to an
         integer; settings refuses unknown numbers and invalid values with GrblError."""
         end, number = bare(line, 1)  # index of the character after the number; -1 without one
         if end < 0:

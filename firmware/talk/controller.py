@@ -155,7 +155,7 @@ class Controller:
 
     def welcome(self) -> None:
         """Greet a sender that has opened the port anew, also during motion: some senders reset a
-        machine that says nothing. The reset hooks of extras run only at rest."""
+        machine that says nothing. The reset hooks of extras run only while idle."""
         if self.at_rest():
             self._banner()
         else:
@@ -234,8 +234,8 @@ class Controller:
         self.segments.clear()
         self.spindle.set_speed(sp.OFF, 0.0)
         self.coolant.set(0)
-        state.hooks.forget()
-        self.motor_control.release()
+        state.hooks.forget()  # the probed position, and what extras hold
+        self.motor_control.release()  # starts the idle delay
         self.resync()
         state.override_countdown = 0
         self.port.enable_limits(bool(self.settings.hard_limits))

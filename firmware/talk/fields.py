@@ -85,8 +85,8 @@ def _write_rest(
     text; ints: END, then from VALUES on free blocks and free bytes, if the form has them (buffers
     is not 0), and the feed rate in mm/min; mm: the position, which is there already, and the
     spindle speed after it. flow, ring: the planner's state and blocks; reader: LineReader's state;
-    spindle: State.spindle, with the speed at RPM; state: the run state, 0 feed rate if it is none
-    of MOVING.
+    spindle: State.spindle, with the speed at RPM; state: the run state; the feed rate is 0 unless
+    it is one of MOVING.
     """
     value_at = VALUES
     if buffers:

@@ -2,7 +2,7 @@
 answers "ok" or "error:n".
 
 pump() reads the link and removes real-time bytes; it decides nothing. service() is pump() plus the
-handling of real-time events: the only place where code service_due.
+handling of real-time events: code that waits calls it again and again.
 """
 
 from base import errors
@@ -116,7 +116,7 @@ class Protocol:
                             self._canon.auto_start()
                         self._realtime.run()
                         if result == NOTHING:
-                            if pending[st.ANY]:  # something posts an event in every turn
+                            if pending[st.ANY]:  # with an event posted run_lines() reads nothing
                                 self.pump()
                             continue
                         counts[ASKED] = 0  # the event may have changed what the line may do
@@ -193,7 +193,7 @@ class Protocol:
                 motor_control.wait_unanswered(1)
         state.alarm = 0
         if send_details:
-            if not state.pending[st.RESET]:
+            if not state.pending[st.RESET]:  # else handle_events() raises Abort
                 self._realtime.handle_events()
             send_details()
 

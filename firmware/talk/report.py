@@ -272,7 +272,7 @@ class Report:
     # Its parts. Each call costs 40 us.
 
     def _write_long(self, name: bytes, active: int) -> int:
-        """Write a report with rare fields, or in inches. Returns its length in bytes.
+        """Write a report that is not the common one. Returns its length in bytes.
 
         name: the state, a form that begins the report; active: mask of active inputs.
         """

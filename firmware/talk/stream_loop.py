@@ -113,7 +113,7 @@ def _receive(pending: ptr8, receiving: object, ring: ptr8, reader: ptr32, kinds:
         if read:
             take_bytes(ptr8(piece), read, ring, reader, kinds, post)
         count += read
-        # All of _LONG or _SHORT bytes were there: more may wait.
+        # A small piece was filled: more may wait. After a full buffer the next call reads on.
         more = 1 if read == piece_size and piece_size <= _LONG else 0
         free = int(free_space(reader))
     return 0 if pending[ANY] else count

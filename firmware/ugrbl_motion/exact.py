@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from motion.planner import Planner
 
 _FRACTION_BITS = const(17)  # of a tick; 4095 steps of less than a tick fit 29 bits
-_NEAR_LOG2 = const(10)  # the planner's own error is below 2**-11 of a row
-_END_LOG2 = const(6)  # a row's end may be 2**-7 step off (slice_kernel.STEP_BIAS)
+_NEAR_LOG2 = const(10)  # 2**-10 of a row; the planner's own error is below half of that
+_END_LOG2 = const(6)  # 2**-6 step: each end may be 2**-7 off (slice_kernel.STEP_BIAS)
 
 
 @micropython.viper
@@ -50,8 +50,8 @@ def set_time(flow: ptr32, ring: ptr32, row: ptr32, motors: int, rest: ptr32) -> 
     if bits == 0 or steps == 0:
         return 0
     # Ticks per step = mantissa (24 bits) * 2**-shift = whole ticks, and a fraction in 2**-17.
-    shift = 150 - (bits >> 23)
-    mantissa = (bits & 0x7FFFFF) | 0x800000
+    shift = 150 - (bits >> 23)  # 150: the exponent's bias, 127, and the 23 bits stored
+    mantissa = (bits & 0x7FFFFF) | 0x800000  # the highest bit is not stored
     fraction = 0
     if shift > 0:
         whole = mantissa >> shift

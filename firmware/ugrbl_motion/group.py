@@ -97,9 +97,9 @@ class Group:
     """Axes and outputs by name: Group(x=Axis(...), y=Axis(...), camera=Output(15)).
 
     corner: how far, in units, the path may be thought to be rounded where two moves meet; it sets
-    the speed there (junction deviation). queue: moves that may wait, and one. pulse_us: length of
-    a step. hardware: the simulator's, or a test's; None: this chip's. Raises ValueError for parts
-    that do not go together, OSError if this chip has no step engine.
+    the speed there (junction deviation). queue: one more than the moves that fit. pulse_us: length
+    of a step. hardware: the simulator's, or a test's; None: this chip's. Raises ValueError
+    for parts that do not go together, OSError if this chip has no step engine.
 
     Calls queue motion and return; they wait only for space in the queue. wait() waits in a plain
     program, `await moved()` in a task. A failure of the engine is a GroupError of the next call.
@@ -142,8 +142,8 @@ class Group:
     ) -> int:
         """Queue a straight line to a position, x=10.0; outputs by name, 0 or 1, change with it.
 
-        speed: along the line, units/s; seconds: how long it takes at that speed, ramps aside;
-        neither: as fast as the axes can. Limits of axes are kept in any case. Waits if the queue
+        speed: along the line, units/s; or seconds: how long it takes, without its ramps; with
+        neither, as fast as the axes can. Limits of axes are kept in any case. Waits if the queue
         is full. Returns the move's number for moved() and done(). Raises ValueError for unknown
         names and positions out of reach: nothing has changed then.
         """
@@ -236,7 +236,7 @@ class Group:
         return most / line_s, length / line_s
 
     def pace(self, factor: float) -> None:
-        """Execute all moves, the present one too, at so many times their speed, 0.01 to 10.
+        """Execute all moves, the present one too, at `factor` times their speed, 0.01 to 10.
 
         Limits of axes are kept. It stays in force until the next call.
         """

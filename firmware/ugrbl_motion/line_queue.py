@@ -106,7 +106,7 @@ class LineQueue:
         )
         # The planner's unit is about a step, so that its slowest speed is a step per minute.
         finest = max([axis.steps_per_unit for axis in axes])
-        # A power of 2, so that nothing is rounded.
+        # A power of 2, so that nothing is rounded. Planner, with None: motor i moves axis i.
         self._scale = scale = 2.0 ** math.floor(math.log(finest) / math.log(2))
         self._overrides = _Overrides()
         self._planner = planner = Planner(count, length, None, self._overrides)
@@ -250,9 +250,9 @@ class LineQueue:
         none; after a fault nothing moves, and the outputs are off."""
         fault = self._engine.fault()
         if fault:
-            self.set_levels(0, now=False)
-            self._hardware.write(0)  # outputs off
-            self._restart()
+            self._state[_PLAYING] &= ~_LEVELS_MASK  # outputs off, and
+            self._hardware.write(0)
+            self._restart()  # they stay so
             return fault
         planner = self._planner
         planner.catch_up()

@@ -191,6 +191,14 @@ def test_lines_keep_within_the_arc_tolerance(kind: str, tolerance: float) -> Non
 
 
 @pytest.mark.parametrize("kind", _KINDS)
+def test_chords_of_a_tolerance_of_0_come_to_an_end(kind: str) -> None:
+    x, y = _MIDDLE[kind]
+    cnc = machine_after(kind, [f"G1X{x + 20}Y{y + 5}F3000"], settings={12: 0})
+    assert "error" not in " ".join(cnc.received)
+    assert math.dist(tool_position(kind, cnc.physical())[:2], (x + 20, y + 5)) < 0.01
+
+
+@pytest.mark.parametrize("kind", _KINDS)
 def test_arcs_and_helices_keep_within_the_arc_tolerance(kind: str) -> None:
     """A line to a circle with radius 20 mm, half of it down to Z-5, and the same half back."""
     x, y = _MIDDLE[kind]

@@ -174,9 +174,9 @@ def test_a_failed_engine_is_reported_and_everything_is_off(bench: GroupBench) ->
     assert bench.engine.idle() and bench.hardware.outputs[-1][1] == 0
     # restores the method: the group can be used again
     del bench.engine.fault  # type: ignore[method-assign]
-    bench.group.move(x=0)
+    bench.group.move(x=0, out0=1)
     bench.group.wait()
-    assert bench.steps[0] == 0
+    assert bench.steps[0] == 0 and bench.hardware.outputs[-1][1] == 1
 
 
 # Outputs and progress

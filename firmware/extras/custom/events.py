@@ -43,7 +43,7 @@ _STACK_BYTES = const(3712)  # in use at most
 _M6 = const(6)
 _WELCOME_EVENTS = ("startup", "after_reset")  # the welcome of power-up, and of each reset
 # Alarms that no handler has caused: none, or the sender has reset a moving machine.
-_NOT_BY_HANDLER = (0, errors.ALARM_ABORT_CYCLE, errors.ALARM_HOMING_FAIL_RESET)  # alarms
+_NOT_BY_HANDLER = (0, errors.ALARM_ABORT_CYCLE, errors.ALARM_HOMING_FAIL_RESET)  # alarms; 0: none
 _SPINDLE = {sp.OFF: "M5", sp.CW: "M3", sp.CCW: "M4"}
 
 
@@ -232,7 +232,7 @@ class Events:
         """
         self._runner.refuse_disabled(what, function)
         self._synced_words.add(what, function, given)
-        self.poll()
+        self.poll()  # runs it at once if nothing moves
 
     # Hooks
 

@@ -150,8 +150,8 @@ class Api:
         self.every = every
         self.on = on
         self.Machine = object  # for editors, which have a stub: def vacuum(m: Machine, P): ...
-        self.Refused = Refused
-        self.Refuse = Refuse
+        self.Refused = Refused  # raised by m.g() and others
+        self.Refuse = Refuse  # for handlers to raise
 
 
 api = Api()

@@ -128,7 +128,7 @@ class MachineApi(PinApi):
             try:
                 machine.state.hooks.execute(code, len(code) - 1)
             except GrblError as reason:
-                self.restart_clock()
+                self.restart_clock()  # as in _finish_wait()
                 raise Refused(reason.code, name) from reason
         self._finish_wait()
 
@@ -190,9 +190,9 @@ class MachineApi(PinApi):
         return self._machine.motor_control.touches is not None
 
     def set_work(self, at: Position, words: str) -> None:
-        """Set the work coordinates of the position `at`, in mm: "Z0" or "X-3 Y-3".
+        """Give a position the work coordinates of `words`, in mm: "Z0" or "X-3 Y-3".
 
-        The work offset is stored, as by G10 L2.
+        at: in machine coordinates. The work offset is stored, as by G10 L2.
         """
         coords = self._machine.coords
         axes = ""
@@ -255,7 +255,7 @@ class MachineApi(PinApi):
         """
         self.check_stopped()
         reader = self._machine.reader
-        # has_line() includes the line in progress, of which a handler that may move is a part.
+        # Only has_line() counts the line in progress, of which a handler that may move is a part.
         has_line = reader.waiting() if self.may_move else reader.has_line()
         if has_line or self._state.run not in (st.IDLE, st.JOG) or len(self._jogs) >= _MOST_JOGS:
             return False

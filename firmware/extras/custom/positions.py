@@ -103,7 +103,7 @@ class ModalState:
 
     def __exit__(self, *fault: object) -> None:
         """Restore everything copied, unless a reset is pending. An exception is passed on. In an
-        alarm the motion mode stays, because a laser is on in cutting modes."""
+        alarm the motion mode stays: to restore a cutting one could switch a laser on."""
         machine = self._machine
         modes, coords = machine.modes, machine.coords
         if self in self._open_blocks:
@@ -121,7 +121,7 @@ class ModalState:
         modes.rates[FEED] = self._feed
         coords.tool_length = self._length
         for axis, degrees in getattr(machine.canon, "unwound", {}).items():
-            self._g92[axis] -= degrees - self.unwound.get(axis, 0.0)  # during the block
+            self._g92[axis] -= degrees - self.unwound.get(axis, 0.0)  # those of the block
         coords.set_g92(self._g92)
         machine.state.wco_countdown = 0  # the next status report has the offsets
         cuts_now = CUTTING >> modes.modal[MOTION] & 1

@@ -24,16 +24,16 @@ _FAR_MM = const(1_000_000)  # outside of every machine: no distance has been mea
 
 
 # Indices of a waiting word's fields.
-_BLOCKS_BEFORE = const(0)  # number of blocks before it that the engine has not read
+_BLOCKS_BEFORE = const(0)  # number of blocks before it that the engine has not read to the end
 _END_MM = const(1)  # the end position of the blocks before it, mm per axis
 _LAST_DISTANCE_MM = const(2)  # distance to that position at the last look
 _FIRST_OF_CALL = const(3)  # from here on: its name in messages, function and parameters
 
 
 class SyncedWords:
-    """The words that wait for motion. waiting: for each a list of the fields above. _position:
-    scratch for the present position, mm. _counted_tail: the planner's TAIL (index of the next
-    block that the engine reads) when _subtract_read_blocks() ran last."""
+    """The words that wait for motion. waiting: for each a list, see _BLOCKS_BEFORE and so on.
+    _position: scratch for the present position, mm. _counted_tail: the planner's TAIL (index of
+    the block that the engine reads) when _subtract_read_blocks() ran last."""
 
     def __init__(self, machine: "Controller", runner: "Runner") -> None:
         self._machine = machine

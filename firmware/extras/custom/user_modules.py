@@ -163,7 +163,7 @@ class Custom:
         False, when the blocks planned before it have been executed.
 
         It gets the numbers of `letters`, None for one that is not on the line. The handler gets
-        the others by name. what: its name in messages.
+        those that are on it, by letter. what: its name in messages.
         """
         names = [letter.upper() for letter in letters]
 

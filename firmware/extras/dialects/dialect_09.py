@@ -163,7 +163,7 @@ class Report09(Report):
     def setting(self, key: int, value: float, decimals: int) -> None:
         """Send one line of $$: key is the setting's number; after a mask its bits are
         shown, too."""
-        _, _, _, _, unit = self._settings.row(key)[0]
+        _, _, _, _, unit = self._settings.row(key)[0]  # [1]: its axis
         words = self.words.get(key) or unit
         if words[-1] == ":":  # only descriptions of masks end so
             words += "{:08b}".format(int(value))

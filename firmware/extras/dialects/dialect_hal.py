@@ -228,7 +228,7 @@ def install(cnc: "Cnc") -> None:
     options = _found.pop("options")
     report.modal, report.has_jobs = machine.modes, options.job_files is not None
     report.axis_letters = options.axis_letters
-    Bytes(machine, report)
+    Bytes(machine, report)  # the hooks hold it
     link = machine.protocol.link
     if hasattr(link, "welcome"):  # a network link
         link.welcome = _WELCOME

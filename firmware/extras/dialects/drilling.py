@@ -223,7 +223,7 @@ class Drilling:
 
     def plan(self, words: "list[Word]", ends_at_r: bool) -> Holes:
         """Check a line of a cycle and prepare its holes. words: the line's; ends_at_r: G99 holds
-        for it. GrblError if it is wrong. Nothing changes."""
+        for it. GrblError if it is wrong. The state of the active cycle does not change."""
         holes = self._holes
         holes.ends_at_r = ends_at_r
         holes.cycle, given, others = self._split(words)

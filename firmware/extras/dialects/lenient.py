@@ -159,7 +159,7 @@ class Lenient:
         machine = self._machine
         line = bytearray(text.encode() + b"\0")
         span = len(line) - 1 << 8  # the line's end, with its start, 0, in the lower byte
-        machine.interpreter.check_line(line, span, machine.modes.modal, 0)
+        machine.interpreter.check_line(line, span, machine.modes.modal, 0)  # 0: not $J=
 
     def _run_text(self, text: str) -> None:
         """Execute a line as Grbl does. GrblError refuses it."""
@@ -169,8 +169,8 @@ class Lenient:
     # A line that has been refused
 
     def _execute_changed(self, line: bytearray, length: int, words: "list[Word] | None") -> bool:
-        """Execute a line that Grbl refuses, or that repeats a cycle: as a question, as a drilling
-        cycle, or without the words that have no effect here.
+        """Execute a line that Grbl refuses, or that repeats a cycle: as M114, M115 or M400, as a
+        drilling cycle, or without the words that have no effect here.
 
         words: those of the line, None if it is not words only. Return False, and do nothing, if
         no word can be dropped, or if the line is another extra's.

@@ -151,7 +151,7 @@ class Entry:
             apply_state(machine, state_before)
             for cycle, numbers in zip(self._cnc.cycles, kept):
                 cycle.kept = numbers
-            machine.resync()
+            machine.resync()  # planner and parser go on from the steps executed
         if machine.reader.has_line():
             raise CannotEnter("the sender sent other lines meanwhile")
         if machine.inputs.door_open() or machine.inputs.active() & _HOLD_IN_ACTIVE:

@@ -63,8 +63,8 @@ def _deliver(
     the reader's ring, which gets buf; kinds: the kind of each byte value; flow: the planner's
     state. Real-time commands and CR become spaces; a line ends with LF.
 
-    With fewer than _FEW_BLOCKS free blocks it delivers at most as many lines as blocks are free,
-    and only when the ring is empty. So no line waits inside the interpreter, and a hold finds the
+    It delivers at most as many lines as blocks are free, and with fewer than _FEW_BLOCKS of these
+    only when the ring is empty. So no line waits inside the interpreter, and a hold finds the
     stack nearly empty.
     """
     free_blocks = flow[layout.TAIL] - flow[layout.HEAD] - 1
@@ -230,7 +230,7 @@ class Feed:
     # The file
 
     def start(self, file: "IO[bytes]", size: int, line: int = 0) -> None:
-        """Start reading a file of `size` bytes at its present position.
+        """Start reading a file at its present position. size: see percent().
 
         `line` lines are before that position. Call it only while the ring is empty.
         """
@@ -301,8 +301,8 @@ class Feed:
         return micropython.stack_use() - self._stack_at_start < limit
 
     def line_in_motion(self) -> int:
-        """Return the line of the block that the engine was given last; without blocks the line
-        that will be answered next."""
+        """Return the line of the block that the engine reads now; without blocks the line that
+        will be answered next."""
         flow = self._flow
         tail = flow[layout.TAIL]
         if tail == flow[layout.HEAD]:
@@ -310,7 +310,7 @@ class Feed:
         return self._line_of_row[tail]
 
     def percent(self) -> float:
-        """Return how much of the file has been read, in percent."""
+        """Return the bytes read, in percent of start()'s `size`: that of the whole job file."""
         return min(100 * self._read_bytes / (self._size or 1), 100.0)
 
     def _read_file(self) -> int:

@@ -57,7 +57,7 @@ class JobRun:
         self._machine = cnc.machine
         self._files = files
         self._feed = feed = Feed(cnc.machine, self._refuse, self._store_held_line)
-        self.has_partial_line = feed.has_partial_line
+        self.has_partial_line = feed.has_partial_line  # for net_access.py
         self.drop_partial_line = feed.drop_partial_line
         hooks = cnc.machine.state.hooks
         hooks.is_busy += (self.is_on,)  # a job that waits, in a dwell for example, is not idle
@@ -146,7 +146,7 @@ class JobRun:
                 if not piece:
                     break
                 crc = binascii.crc32(piece, crc)
-                if len(piece) == _PIECE_BYTES:
+                if len(piece) == _PIECE_BYTES:  # a shorter one is the last
                     self._entry.poll_realtime()
             self._requested_crc = crc
         self._size = file.seek(0, 2)  # the end of the file
@@ -160,7 +160,7 @@ class JobRun:
         lines of Entry.approach_lines() start them again. CannotEnter if the state at the line is
         not certain.
         """
-        journal = self.journal()
+        journal = self.journal()  # name, line, and _origin as JSON
         if self._machine.state.run != st.IDLE or not self._machine.homing_probing.homed:
             raise CannotEnter("the machine is not homed, or not idle")
         if journal and journal[0] == self._name:  # this job was interrupted

@@ -61,7 +61,7 @@ class NonlinearKinematics:
     def __init__(self, axes: int, geometry: "Geometry") -> None:
         self.geometry = geometry
         self.moves = [1 << i for i in range(axes)]
-        self.resolution = array("f", (1.0 for _ in range(axes)))  # steps per unit of a joint
+        self.resolution = array("f", (1.0 for _ in range(axes)))  # steps/unit; the planner sets it
         self.start, self.home, self.travel = geometry.START, geometry.HOME, geometry.TRAVEL
         self._axes = range(axes)
         self._joints = vector(axes)
@@ -164,7 +164,7 @@ class NonlinearPlanner(Planner):
         table = self.table
         self._fastest = self.kinematics.geometry.FASTEST / 60
         scale = (1 << _SPEED_BITS) / (self._fastest * self._fastest)  # per (mm/s)2
-        table[layout.ROOT_SCALE] = minifloat.real(scale**-0.5)
+        table[layout.ROOT_SCALE] = minifloat.real(scale**-0.5)  # mm/s per root
         table[layout.SQR_SCALE] = minifloat.real(scale)
         table[layout.SLOWEST] = minifloat.real(_SLOWEST_MM_S)
         self._deviation = _JUNCTION_SCALE * settings.junction_deviation_mm * scale
@@ -197,14 +197,15 @@ class NonlinearPlanner(Planner):
         copy(self.joints, self._joints, self.axes)
         for i in range(self.axes):
             self._slope[i] = 0.0  # the next block starts from standstill, without a bend
-            self.position[i] = PLACE_BIAS + _parts(self.place[i])  # as in the table
+            self.position[i] = PLACE_BIAS + _parts(self.place[i])  # in the table, too
 
     # Blocks
 
     def line(self, target: "array[float]", move: "Move", power: int) -> bool:
         """Add the chord that self.course has computed last; it ends at target, mm.
 
-        Return False if it has no steps: the next chord then begins where this one did.
+        A row must be free. Return False if it has no steps: then the next block begins where this
+        chord did.
         """
         copy(target, self.place, self.axes)
         copy(self.course.joints, self.joints, self.axes)
@@ -271,7 +272,7 @@ class NonlinearPlanner(Planner):
         for i in range(self.axes):
             change = end[i] - begin[i]
             steps = self.kinematics.steps_of(end[i], i) - start[i]
-            if steps < 0 or (steps == 0 and change < 0):  # also a change of less than a step
+            if steps < 0 or (steps == 0 and change < 0):  # without a step it matters to corners
                 dirs |= 1 << i
                 steps = -steps
             ring[at + layout.STEPS + i] = steps
@@ -310,7 +311,7 @@ class NonlinearPlanner(Planner):
         where slope is its units per mm, and bend is the change of slope per mm.
         """
         ring, table, slope = self.ring, self.table, self._slope
-        direction = layout.LIMITS + _DIRECTION * self.axes  # index in the table
+        direction = layout.LIMITS + _DIRECTION * self.axes  # table index; signs are in DIRS
         # slope is still the last chord's. The scalar product of this chord's change, a vector of
         # the length pace * length, and of the last slope, of the length _pace, is the product of
         # both lengths and the cosine of the angle between the chords.
@@ -340,6 +341,7 @@ class NonlinearPlanner(Planner):
         ring[at + layout.RAPID] = minifloat.real(rapid)
         ring[at + layout.ACCEL] = minifloat.real(accel)
         ring[at + layout.RATE] = minifloat.real(rate)
+        # Corners are computed in joint units: with the deviation times pace, v**2 times pace**2.
         table[layout.JUNCTION] = minifloat.real(self._deviation / max(pace, self._pace))
         self._pace, self._length = pace, length
 

@@ -55,12 +55,12 @@ def prepare(options: "Options", board: "ModuleType") -> None:
 
 
 def install(cnc: "Cnc") -> None:
-    """Hook the check of reach into lines. No line is executed by the stream kernel, because that
-    plans a line as one block."""
+    """Hook the check of reach into lines. Kernels execute no moves, because they plan a line as
+    one block."""
     machine: "Any" = cnc.machine
     canon, interpreter = machine.canon, machine.interpreter
     canon.tell = cnc.message
     canon.modes, canon.block = machine.modes, interpreter.block
     machine.state.hooks.checked += (canon.check_block,)
-    interpreter.is_open = False  # to the stream kernel
-    interpreter.watch(MOVE)
+    interpreter.is_open = False  # the stream kernel leaves all lines to execute(),
+    interpreter.watch(MOVE)  # which then lets no kernel execute a move

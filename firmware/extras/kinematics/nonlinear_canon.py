@@ -42,7 +42,7 @@ class NonlinearCanon(Canon):
         """Apply settings, as Canon.configure(). CENTRED axes have travel on both sides of 0."""
         super().configure()
         for axis in self.planner.kinematics.geometry.CENTRED:
-            # Bits of SHUT: 0 is the upper limit of axis i (bit i), or the lower (bit i + BELOW).
+            # Bits of SHUT: axis i may not go above 0 (bit i), or not below (bit i + BELOW).
             self.travel[SHUT] &= ~(1 << axis | 1 << axis + BELOW)
 
     def line(self, target: "array[float]", move: "Move") -> None:

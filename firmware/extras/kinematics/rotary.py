@@ -107,10 +107,10 @@ class RotaryCanon(Canon):
         """Apply settings, as Canon.configure(). Endless axes have no limit of travel."""
         super().configure()
         for axis in self.endless():
-            # Bits of SHUT: 0 is the upper limit of axis i (bit i), or the lower (bit i + BELOW).
+            # Bits of SHUT: axis i may not go above 0 (bit i), or not below (bit i + BELOW).
             self.travel[SHUT] &= ~(1 << axis | 1 << axis + BELOW)
-            self.limit(axis, _EXACT_STEPS / self.planner.steps_per_mm[axis])
-            arcs.limit(self.course, axis, -arcs.FARTHEST, arcs.FARTHEST)
+            self.limit(axis, _EXACT_STEPS / self.planner.steps_per_mm[axis])  # of lines, degrees
+            arcs.limit(self.course, axis, -arcs.FARTHEST, arcs.FARTHEST)  # of arcs, steps
 
     def endless(self) -> "list[int]":
         """Return the endless axes: rotary axes whose travel setting is 0."""

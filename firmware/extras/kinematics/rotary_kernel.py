@@ -46,7 +46,7 @@ def stretch(target: ptr32, table: ptr32, ring: ptr32, flow: ptr32, linear: int) 
             squares += mantissa * mantissa
     if squares == 0:
         return 0
-    linear_length = int(pack(int(square_root(squares)), highest_exponent + 1))
+    linear_length = int(pack(int(square_root(squares)), highest_exponent + 1))  # + 1 as in shift
     length = ring[at + LENGTH]
     # The quotient of the mantissas has 15 bits more than 1: the exponent has 15 less.
     exponent = (

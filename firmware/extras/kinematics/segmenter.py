@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 # Share of the tolerance allowed at a quarter of a chord: in its middle a bend is 4/3 of that.
 _SAMPLE_SHARE = 0.7  # of the tolerance, at a quarter of a chord
+_FINEST_MM = 0.0005  # least tolerance: single precision cannot follow a path more closely
 _LONGEST_MM = 5.0  # longest chord: two samples do not show every bend of a longer one
 _SHORTEST_CHORD = 0.25  # in tolerances; not cut further, because there motors turn on the spot
 _MOST_DEVIATION = 2.0  # of such a chord, in tolerances; beyond it the position is out of reach
@@ -122,11 +123,11 @@ class Segmenter:
         tolerance: float,
     ) -> None:
         """Start a path from start, where the joints are `joints`, to target, in mm. arc: None for
-        a straight line. tolerance: how far chords may leave the path, mm."""
+        a straight line. tolerance: how far chords may leave the path, mm; _FINEST_MM if less."""
         self.path.set_path(start, target, arc)
         copy(start, self.place, self._axes)
         copy(joints, self.joints, self._axes)
-        self.tolerance = tolerance
+        self.tolerance = max(tolerance, _FINEST_MM)
         self._chord_begin = 0.0
         self._next_length = min(1.0, _LONGEST_MM / (self.path.length or 1.0))
 

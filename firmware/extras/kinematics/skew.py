@@ -4,8 +4,8 @@ It is for axes that are not at right angles to each other. Positions are those o
 in programs, reports, offsets, soft limits and probe results. Motors move to the corresponding
 place; a motor also compensates the axes that lean towards its own. A straight line stays straight
 and is one block; an arc's chords are such lines. The inverse is exact to the step, so the position
-is known wherever motion has stopped. Homing moves motors, each alone to its own switch. Where all
-have been homed, positions are those of the motors.
+is known wherever motion has stopped. Homing moves motors, each alone to its own switch. At home,
+positions of axes and motors are the same.
 """
 
 import math
@@ -206,8 +206,8 @@ def _hook_homing(machine: "Any") -> None:
     motors = array("i", (0 for _ in range(machine.planner.motors)))
 
     def find(axes: int) -> None:
-        """Search the switches of the axes, a mask, and store where the motors are then: their
-        skew is counted from there."""
+        """Search the switches of the axes, a mask, and store the motors' positions after it, where
+        the skew is 0."""
         kinematics.homing = True
         try:
             previous(axes)

@@ -67,10 +67,10 @@ def back_y(z: int, skew: ptr32) -> int:
 def to_motors(table: ptr32, skew: ptr32) -> int:
     """Replace TARGET in the planner's table, steps of axes, by steps of their motors. skew: the
     skew table. Z's motor is at Z; Y's depends on it, and X's on both. Returns 0."""
-    x = LIMITS + TARGET * table[AXES]  # index of X's target; Y and Z follow
-    z = table[x + _Z] - skew[HOMED + _Z]
-    table[x + _Y] = table[x + _Y] - int(back_y(z, skew))
-    table[x] = table[x] - int(back_x(table[x + _Y] - skew[HOMED + _Y], z, skew))
+    at = LIMITS + TARGET * table[AXES]  # index of X's target; Y and Z follow
+    z = table[at + _Z] - skew[HOMED + _Z]  # steps of Z's motor from home
+    table[at + _Y] = table[at + _Y] - int(back_y(z, skew))  # now of Y's motor
+    table[at] = table[at] - int(back_x(table[at + _Y] - skew[HOMED + _Y], z, skew))
     return 0
 
 

@@ -344,7 +344,7 @@ def _hook_homing(machine: "Any") -> None:
         previous(axes)
         for i in range(machine.planner.axes):
             if axes >> i & 1:
-                # With the bit of $23 the switch is at the negative end.
+                # With its bit of $23 the switch is at the negative end: the pull-off goes up.
                 canon.pulled_off(i, bool(settings.homing_dir_invert >> i & 1))
 
     hooks.find_switches = find

@@ -2,8 +2,8 @@
 
 The first motors move one axis each, in order. Each further motor moves with the axis of its
 letter. If both motors of an axis have a limit switch, homing runs both and stops each at its own
-switch. $17n is the distance between them then. If only the first has one, they home together. The
-numbers of settings are grblHAL's. The alarm for a switch not found in time is Grbl's.
+switch. $17n then moves one of them further off its switch. If only the first has one, they home
+together. Setting numbers are grblHAL's. The alarm for a switch not found in time is Grbl's.
 """
 
 from base import errors
@@ -197,7 +197,7 @@ class GangedHoming(HomingProbing):
         width = settings.max_travel[Y if axis == X else X]  # across the gantry, mm
         most: float = max(width * settings.racking_percent / 100, settings.racking_least_mm)
         most = min(most, settings.racking_most_mm)
-        return most + abs(self._offset_mm(axis))  # by which the axis is racked
+        return most + abs(self._offset_mm(axis))  # between both switches, if the axis is square
 
     def _offset_mm(self, axis: int) -> float:
         """Return the squaring offset of an axis: $170 to $175, in mm."""
@@ -207,7 +207,7 @@ class GangedHoming(HomingProbing):
     def _set_origin(self, axes: int) -> None:
         """Square these axes (a mask), then set their positions as HomingProbing._set_origin().
 
-        Both motors get the steps of a pull-off by the offset, but one is locked and stands still:
+        Both motors get the steps of a pull-off by the offset, but one is locked until its end:
         the first for a positive offset, else the second.
         """
         for i, (axis, motor) in enumerate(self.pairs):

@@ -96,7 +96,7 @@ class Jerk:
         the averaging plan, unless it is the system's own."""
         planned = self._plan(target, flags, line, power, rate)
         if not flags & layout.SYSTEM_MOTION:
-            self.release_blocks(0)  # if they are many
+            self.release_blocks(0)  # 0: not one by one if many are waiting
         return planned
 
     def release_blocks(self, everything: int) -> None:

@@ -143,7 +143,7 @@ def smooth(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32) -> int:
     flow[PLANNED_TIME] = _SLOT_TIME if span > _SLOT_TIME and span < 2 * _SLOT_TIME else span
     flow[SLICES] = int(slices(flow, table, ring[flow[BLOCK_AT] + FLAGS] & DYNAMIC))
     flow[PLANNED_TIME] = span
-    flow[PIECE_AT] = PIECES
+    flow[PIECE_AT] = PIECES  # from now on the first piece that is not in a row yet
     return 1
 
 
@@ -162,7 +162,7 @@ def begin_segment(flow: ptr32, line: ptr32, ring: ptr32, motors: int) -> int:
         in_steps = int(distance_left(flow))
         flow[END_SPEED] = int(part_of(line[SUM_LAID_OUT], in_line, in_steps, line[PER_TAP]))
     flow[ROW_SPEED] = flow[END_SPEED]
-    flow[PIECE_AT] = PIECES
+    flow[PIECE_AT] = PIECES  # no piece is planned yet
     flow[PLANNED_DISTANCE] = 0
     return 1
 
@@ -206,7 +206,7 @@ def place_slot(flow: ptr32, line: ptr32) -> int:
     way = line[DISTANCE_TO_LAY]  # to lay out now, in 2**-16 mm
     time = line[TIME_TO_LAY]
     # What is left of the block in two units, as reals: of the line and of the flow.
-    in_line = int(pack(block_left or 1, BIAS))
+    in_line = int(pack(block_left or 1, BIAS))  # part_of() divides by it
     in_steps = int(distance_left(flow))
     block_steps = HIGHEST  # what is left of the block in 2**-18 step
     if flow[STEPS_LEFT] < _COUNTED_STEPS:
@@ -328,7 +328,7 @@ def plan_slot(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32, most: int) ->
             line[PLAN_LEFT] = int(block_distance(ring, line[BLOCK_AT]))
             line[PLAN_FRACTION] = 0
         rest = int(distance_left(line))
-        line[PIECE_AT] = PIECES
+        line[PIECE_AT] = PIECES  # replaces the last piece: the plan makes no rows
         line[PLANNED_DISTANCE] = 0
         in_block = int(next_piece(line, ring, table[ROOT_SCALE]))  # 0: it ends the block
         if in_block:
@@ -372,7 +372,7 @@ def end_plan_block(line: ptr32, ring: ptr32, gentle: int) -> int:
     gentle: T / 4, as table[JUNCTION_DERATE], so a T / 4 and v are roots of scaled speeds squared.
     """
     before = line[BLOCK_AT]  # index of the block that ends; at: of the next one
-    line[JOIN_SPEED] = int(ratio(line[END_SPEED], ring[before + FACTOR]))
+    line[JOIN_SPEED] = int(ratio(line[END_SPEED], ring[before + FACTOR]))  # a real, mm/s
     line[LOADED] = 0
     tail = line[TAIL] + 1
     if tail == line[ROWS]:

@@ -193,7 +193,8 @@ def mark_grid_corner(table: ptr32, ring: ptr32, line: ptr32, at: int, before: in
             in_chain = int(is_short(table, ring, at, line[CHAIN_SQR]))
             if in_chain == 0:  # the chain ends here
                 ring[at + JUNCTION_SQR] = line[CHAIN_SQR]
-    elif junction and (after_chain or ring[before + JUNCTION_SQR] < HIGHEST):  # after a corner
+    elif junction and (after_chain or ring[before + JUNCTION_SQR] < HIGHEST):
+        # A corner directly after another one, or in a chain.
         in_chain = int(is_grid_corner(table, ring, at, before))
         line[CHAIN_SQR] = junction
     if in_chain:
@@ -206,9 +207,9 @@ def is_grid_corner(table: ptr32, ring: ptr32, at: int, before: int) -> int:
     """Return 1 if the corner between two short blocks is within a step of a straight line, else 0.
 
     A corner by the angle t, n steps from the next one (the shorter block's, at most
-    _MOST_GRID_STEPS), is n t / 2 steps away from it, so it is where t < 2 / n. Junction deviation
-    d allows, with the acceleration a, v**2 = 8 a d / t**2 for a small t, and 2.4 a d for a right
-    angle, which one step may make. So the condition is v**2 >= 2 a d n**2.
+    _MOST_GRID_STEPS), is n t / 2 steps off the line: less than one step where t < 2 / n. Junction
+    deviation d allows, with the acceleration a, v**2 = 8 a d / t**2 for a small t, and 2.4 a d for
+    a right angle, which n = 1 may be. So the condition is v**2 >= 2 a d n**2.
     """
     steps = ring[at + EVENTS]
     if steps > ring[before + EVENTS]:

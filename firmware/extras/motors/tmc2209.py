@@ -299,8 +299,8 @@ class Drivers:
     def _set_thresholds(self, axes: int, approach: bool, rate: float) -> None:
         """Set the StallGuard thresholds of a homing phase. axes: mask of those that move.
 
-        rate: along the path of all of them, mm/min; above $24 it is the search, else the slow
-        approach. approach: False in a pull-off, which has no threshold.
+        rate: along the path of all of them, mm/min; if that is above $24 per axis, it is the
+        search, else the slow approach. approach: False in a pull-off, which has no threshold.
         """
         settings = self._settings
         count = sum([axes >> i & 1 for i in range(self._planner.axes)])

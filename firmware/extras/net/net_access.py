@@ -60,7 +60,7 @@ def drop_partial_line(ring: bytearray, state: "array[int]", kinds: bytearray) ->
 class Network:
     """`$NET` and its stored values. link: None in a simulator without network. _values: by name,
     such as SSID, as text. _key_is_unsent: the key was just made, and is still to be reported.
-    _previous_forget: Hooks.forget without the link."""
+    _previous_forget: what Hooks.forget(), called at each reset, did before."""
 
     def __init__(self, cnc: "Cnc", link: "NetworkLink | None") -> None:
         machine = cnc.machine

@@ -317,7 +317,7 @@ class Clusters:
     def __init__(self, machine: "Controller") -> None:
         self._machine = machine
         flow = machine.planner.flow
-        blocks = flow[ROWS] + 1
+        blocks = flow[ROWS] + 1  # and the system's own
         self.powers = array("i", (0 for _ in range(CLUSTER_LENGTH * blocks)))
         # A spindle override computes the powers from them again.
         self._speeds = array("f", (0.0 for _ in range(MOST * blocks)))
@@ -337,7 +337,7 @@ class Clusters:
 
     def _compute_powers(self, power: "Any", flags: int, block: int) -> None:
         """Compute the powers of a block's dots from their S values, by power(flags, S). block:
-        index of its row in the planner's ring; flags: its own."""
+        index of its row in the planner's ring; flags: the block's."""
         for i in range(self.powers[CLUSTER_LENGTH * block]):
             self.powers[CLUSTER_LENGTH * block + 1 + i] = power(
                 flags, self._speeds[MOST * block + i]
@@ -345,8 +345,8 @@ class Clusters:
 
     @micropython.native
     def plan(self, target: "array[float]", flags: int, line: int, power: int, rate: int) -> int:
-        """Plan a line, as motion.planner.Planner.plan(), whose arguments and result it has; and
-        store the dots of its block. Without M3 and M4 it has none."""
+        """Plan a line, as Planner.plan(), whose arguments and result it has. Store the dots of its
+        block first, because the engine may begin it at once. Without M3 and M4 it has none."""
         machine = self._machine
         head = machine.planner.flow[HEAD]
         if not flags & SYSTEM_MOTION:

@@ -60,7 +60,7 @@ def emit(beam: ptr32, levels: ptr32, power: int) -> int:
 
     beam: the beam's state: beam[COUNT] changes so far, beam[LEVEL] the last power. level = power *
     beam[FULL] / 2**FULL_LOG2; beam_layout.full() keeps the product within 31 bits. The
-    factor beam[BOTH] makes a level the engine's format, as a register that has it twice.
+    factor beam[BOTH] puts it into the engine's format: 0x10001 for a register with it twice.
     """
     levels[beam[COUNT] & LEVELS_MASK] = ((power * beam[FULL]) >> FULL_LOG2) * beam[BOTH]
     beam[COUNT] += 1
@@ -119,8 +119,8 @@ def move_power(table: ptr32, row: ptr32, beam: ptr32, levels: ptr32) -> int:
 
 class Laser(Spindle):
     """A spindle whose power the engine changes during motion. _engine: None if it cannot. _beam:
-    its state of the beam; _beam[bm.LEVEL] is the power that it was given last, UNKNOWN (negative)
-    while idle. _reversed: M4; laser: $32 is on."""
+    see beam_layout.py; _beam[bm.LEVEL] is the power of the last change, UNKNOWN (negative) while
+    idle. _reversed: M4; laser: $32 is on."""
 
     def __init__(self, port: "Port", state: "State", enable_by_direction: bool) -> None:
         super().__init__(port, state, enable_by_direction)

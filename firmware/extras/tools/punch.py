@@ -250,7 +250,7 @@ class Punch(Spindle):
 
 def prepare(options: "Options", board: "ModuleType") -> None:
     """Check the board file before the machine is created. ValueError if it lacks a pin, or has
-    pins for custom.py, because an extra's pins are one extra's only."""
+    pins for custom.py, because a port has the pins of one extra only."""
     option = board.__dict__.get
     pins = [option(name) for name in PINS]
     missing = [PINS[i] for i in range(len(pins)) if pins[i] is None]
@@ -270,6 +270,6 @@ def install(cnc: "Cnc") -> None:
     cnc.add_settings(_SETTINGS, _SPINDLE_SETTINGS, _FILE, _WORDS)
     cnc.add_alarms({ALARM_PUNCH_DOWN: _NOT_DOWN, ALARM_PUNCH_UP: _NOT_UP})
     cnc.before_motion(punch.may_move)
-    cnc.after_start(punch.on_change)  # it may have left the sensor in between
+    cnc.after_start(punch.on_change)  # it may have left the sensor since may_move()
     cnc.after_line(punch.strike)
     punch.connect(cnc.machine)

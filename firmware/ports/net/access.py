@@ -35,7 +35,7 @@ def plain(received: bytearray) -> bytes:
 def is_browser(received: bytearray, count: int) -> bool:
     """Return whether a line with this beginning is a browser's: any web page can send one here.
 
-    count: bytes received of the line so far. False unless they are two.
+    count: stored bytes, with those of lines that wait. False unless they are two.
     """
     return count == _LETTERS and bytes(received[:count]) in _BROWSERS
 

@@ -38,7 +38,7 @@ _SILENT_PLACE_MS = const(600_000)  # with the key, since its last bytes
 _TRIES = const(3)  # wrong keys that are allowed
 
 _FIRST_OF_ALARM = const(0x41)  # A of ALARM:
-_FIRST_OF_BANNER = const(0x0D)  # it begins with an empty line, CR LF
+_FIRST_OF_BANNER = const(0x0D)  # CR: it begins with an empty line
 _FIRST_OF_BRACKET = const(0x5B)  # [ of [MSG: and of answers to $ commands
 _SECOND_OF_MESSAGE = const(0x4D)  # M of [MSG:
 
@@ -58,7 +58,7 @@ def is_for_all(data: "bytes | bytearray | memoryview") -> bool:
     first = data[0]
     if first == _FIRST_OF_BRACKET:
         return data[1] == _SECOND_OF_MESSAGE
-    return first <= _FIRST_OF_BANNER or first == _FIRST_OF_ALARM
+    return first <= _FIRST_OF_BANNER or first == _FIRST_OF_ALARM  # <=: or LF
 
 
 class Memory:
@@ -97,9 +97,9 @@ class Client:
     asked: it requested a status report that it has not been sent. tries: wrong keys still allowed.
     last_bytes_ms: time of its last bytes; last_line_ms: of its last line or, without the key, of
     its connection. received: bytes received and not yet passed to the machine, `length` of them,
-    of which the first `ready` may be passed. _out: queued output, _out_length bytes. _held: bytes
-    of lwIP's memory that count as this client's. _counts_unread: the connection (a websocket)
-    counts by itself the bytes sent that have not been read.
+    of which the first `ready` may be passed; is_too_long: the line after those did not fit. _out:
+    queued output, _out_length bytes. _held: bytes of lwIP's memory that count as this client's.
+    _counts_unread: the connection (a websocket) counts by itself the bytes sent and not yet read.
     """
 
     def __init__(self, memory: Memory) -> None:
@@ -260,8 +260,8 @@ def slot_for(address: str, clients: "list[Client]", at_rest: bool, now_ms: int) 
     there is none.
 
     address: of the new connection; at_rest: the machine is idle. Of overdue clients the one most
-    overdue loses its place, during motion only one without the key. A computer that already has a
-    place without the key is given that one, once overdue, and no other client's.
+    overdue loses its place, during motion only one without the key. But an address that has a
+    place without the key gets no other client's: only that one, once overdue.
     """
     most_overdue = own = None  # own: a place without the key from the same address
     most_ms = 0  # by how much most_overdue is

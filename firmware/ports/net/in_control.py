@@ -22,9 +22,9 @@ _SILENT_MS = const(5000)  # without a line that does more than read
 
 
 class Control:
-    """Who controls the machine. owner: the client in control; driver: the client whose lines the
-    machine is passed; they differ while a client borrows the machine; None: no client. receiver:
-    the client that gets the answers. ending: lines of the previous driver are not all executed
+    """Who controls the machine. owner: the client in control; driver: the client whose lines are
+    passed to the machine; they differ while a client borrows it; None: no client. receiver: the
+    client that gets the answers. ending: lines of the previous driver are not all executed
     yet, and this one's wait. _unanswered_reads: lines of the borrower that have no answer yet.
     user: the client at the cable, which is in control at first."""
 
@@ -81,9 +81,9 @@ class Control:
 
     @staticmethod
     def note_unchecked(driver: "Client", buf: bytearray, count: int, now_ms: int) -> int:
-        """Note what a piece of input (`count` bytes of buf) means for control, before it passes
-        unchecked: it requests a report (?); it is more than one read-only line, so that its client
-        keeps control. Returns count, for the caller to return."""
+        """Note two things about input (`count` bytes of buf) that then passes unchecked: a request
+        for a report (?); and the time (last_line_ms), by which its client keeps control, if it is
+        more than one read-only line. Returns count, for the caller to return."""
         if asks(buf, count):
             driver.asked = True
         # plain() drops ? and line ends: a lone ? becomes b"", which READ_ONLY_LINES contains.

@@ -1,11 +1,11 @@
 """The sender at the cable or on the network: one client is in control, the others watch.
 
 It is put around the cable's link, and keeps that link's way to the prompt. Bytes of the client in
-control pass unread; each byte of the other clients is checked.
+control pass unchecked; each byte of the other clients is checked.
 
-| client | lines | `!`, Ctrl-X, door, jog cancel | `~`, overrides | place |
+| client | lines | `!`, Ctrl-X, door, jog cancel | `~`, overrides | place, if another needs it |
 | --- | --- | --- | --- | --- |
-| at the cable, or with the key | take control, if it is free | act | as lines | kept |
+| at the cable, or with the key | take control, if it is free | act | as lines | 10 min |
 | without the key | read-only, while idle, if no client is in control | none | none | 0.25 s |
 
 Control is free if no client has it; if its client has gone (a network client silent for 3 s); or
@@ -189,7 +189,7 @@ class NetLink:
                 self._cable_never_used = True  # as at the start
             if self._passes_unchecked(cable_client) and not self._urgent_count:
                 self._is_plain = True
-                cable_client.asked = False
+                cable_client.asked = False  # it has its other meaning now: see NetLink
 
     def _passes_unchecked(self, client: Client) -> bool:
         """Return whether a client's bytes pass to the machine unchecked."""

@@ -34,14 +34,14 @@ _LONGEST_REQUEST = const(4096)  # longest request, in bytes
 _VISITORS = const(2)
 _SILENT_MS = const(2000)  # a request that is not complete by then is dropped
 _MEMORY_BYTES = const(2400)  # bytes of lwIP's memory: three pieces
-_PIECE_COUNTS = const(800)  # bytes of it that a piece with its head counts for
+_PIECE_COUNTS = const(800)  # bytes of that memory that a piece with its head counts for
 _REFUSAL_COUNTS = const(300)  # an answer without a piece; a websocket's, with its last frame
 _LEAST_COUNTS = const(150)  # what any answer counts for, at least
 _RANDOM_BYTES = const(2)  # random bytes in a path
 
 _KEY_BYTES = const(24)
 _LONGEST_HOST = const(21)  # longest numeric host, with its port
-_DIGITS = const(5)  # a piece's number has fewer
+_DIGITS = const(5)  # a port has at most so many, a piece's number fewer
 # The constants are in few tuples, because a garbage collection can keep track of 60 objects of a
 # module at once.
 # Fields of a request that are read, the first line being "", and their indices.
@@ -64,7 +64,7 @@ _VERSION = const(5)  # Sec-WebSocket-Version
 _LENGTH = const(6)  # Content-Length
 _ENCODING = const(7)  # Transfer-Encoding
 _WORDS = (b"GET", b"HTTP/1.1", b"websocket", b"13")  # values that some fields must have
-_NAMES = (b"localhost", b".local")  # a host; the end of the board's name
+_NAMES = (b"localhost", b".local")  # a whole host name; what may follow the board's name
 _NUMBER_CHARS = b".0123456789"  # of an IP address; without the first one, of a number
 # Statuses and texts of refusals.
 _REFUSALS = (

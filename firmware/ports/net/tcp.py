@@ -21,7 +21,7 @@ class Calls:
     def __init__(self, port: int) -> None:
         self._listener: "Any" = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        self._listener.bind(socket.getaddrinfo("0.0.0.0", port)[0][-1])
+        self._listener.bind(socket.getaddrinfo("0.0.0.0", port)[0][-1])  # the first's address
         self._listener.listen(_WAITING)
         self._listener.setblocking(False)
         self._input_poll: "Any" = select.poll()

@@ -38,7 +38,7 @@ def _checksum(data: "bytes | memoryview") -> bytes:
 
 
 def _lines(data: bytes) -> "list[str] | None":
-    """Return the lines of a file; None if it is no text: others have written it."""
+    """Return the lines of a file; None if it is not UTF-8: save() has not written it."""
     try:
         return data.decode().split("\n")[:-1]
     except ValueError:
@@ -67,8 +67,8 @@ class FlashStore:
         for suffix in (_NOW, _NEW, _OLD):
             data, exists = self._read(self._folder + name + suffix)
             lines = None if data is None else _lines(data)
-            # A power cut during a save leaves a part of the new file, or all of it and no file in
-            # its place. A partial new file is no damage; to need the older copy is.
+            # A power cut during a save leaves part of the new file, or all of it with no file in
+            # force. So only these are damage: a bad file in force, and needing the older copy.
             if suffix == _OLD or (suffix == _NOW and lines is None):
                 is_damaged = is_damaged or exists
             if lines is not None:

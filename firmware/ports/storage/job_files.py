@@ -79,8 +79,8 @@ class JobFiles:
 
     def connect(self, store: "Store", link: "Link") -> None:
         """Set the store, whose before() and after() are called around flash writes, and share the
-        supervisor's memory with the card. In the simulator the files are in the folder, with or
-        without a card."""
+        supervisor's memory with the card. Without a card, or with a link that has no such memory
+        (the simulator's without a network), the files are in the folder."""
         self._store: "Any" = store
         shared = getattr(link, "shared", None)
         if self._card and shared is not None:

@@ -55,7 +55,7 @@ def _nothing() -> None:
 
 
 class PreparedPages:
-    """The pages. All calls only while idle; find() and erase() take time.
+    """The pages. All calls only while no motor moves; find() and erase() take time.
 
     _flash: the chip's block device. _block: number of the block there, _NOT_FOUND if it was not
     found; _next_page: number of the next page to write. _is_foreign: the file system does not keep
@@ -118,7 +118,7 @@ class PreparedPages:
         return self._data
 
     def erase(self) -> bool:
-        """Replace the file by a new one without records. Return is_fresh().
+        """Replace the file by a new one without records. Return whether all its pages are free.
 
         A power cut leaves the old file or the new one.
         """
@@ -154,7 +154,7 @@ class PreparedPages:
         """Program a record of up to 250 bytes into the next free page. Returns whether it can be
         read back.
 
-        A page that did not keep it is left out, and the next one is tried; False if none is left.
+        If it cannot, the next page is tried; False if none is left.
         What follows the record in its page has no meaning.
         """
         data = self._data

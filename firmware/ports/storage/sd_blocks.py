@@ -235,8 +235,8 @@ class SdBlocks:
         self._read(_READ, address, into)
 
     def _read(self, command: int, argument: int, into: "bytearray | memoryview") -> None:
-        """Send a command and read the block that it returns, at most _TRIES times. OSError if its
-        checksum was wrong each time."""
+        """Send a command and read the block that it returns, at most _TRIES times. OSError if none
+        was whole, or at once if the card does not answer in time."""
         self._since_ms = time.ticks_ms()
         for _ in range(_TRIES):
             self._select(0)
@@ -248,7 +248,8 @@ class SdBlocks:
         raise OSError(errno.EIO)
 
     def _write_block(self, address: int, block: memoryview) -> None:
-        """Write a block at a card's address, at most _TRIES times. OSError if that fails."""
+        """Write a block at a card's address, at most _TRIES times. OSError if all fail, or at once
+        if the card does not answer in time."""
         for _ in range(_TRIES):
             self._since_ms = time.ticks_ms()
             self._select(0)

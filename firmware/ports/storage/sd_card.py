@@ -31,7 +31,7 @@ class SdCard:
         """Mount the card that is in the holder now, unless it is mounted and works. OSError if
         there is no card, or none with a FAT file system. Call it only while no file of the card is
         open."""
-        # Only SdBlocks can tell; with an ESP32's driver the card is mounted anew.
+        # Only SdBlocks can check that; with an ESP32's driver the card is mounted anew.
         if isinstance(self._mounted, SdBlocks) and self._mounted.is_there():
             return
         self.unmount()

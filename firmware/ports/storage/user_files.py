@@ -5,7 +5,8 @@ import os
 
 def modules(name: str) -> "tuple[str, ...]":
     """Return the names to import for `name`: its own if NAME.py exists, NAME.X for each X.py of
-    the folder NAME, sorted; none if neither exists. name: may have folders before it."""
+    the folder NAME, sorted; none if neither exists. name: may be a path, whose slashes the
+    returned names keep."""
     folder, _, last = name.rpartition("/")
     files = os.listdir(folder or ".") if name else ()
     if last + ".py" in files:

@@ -117,7 +117,7 @@ def _read_ring(state: ptr32, buf: ptr8, room: int) -> int:
         count += 1
     indices[_GET] = get
     state[LOOP_READS_RING] = 0
-    flag = HAS_CONTROL_BYTES if count else RING_WAS_FULL  # index; what waits outside comes later
+    flag = HAS_CONTROL_BYTES if count else RING_WAS_FULL  # index; RING_WAS_FULL waits for count 0
     if state[REOPENED] | state[STOP_CAUSE] | state[flag]:
         return count | _HAS_FLAGS
     if count == 0 and state[ANSWER_BYTES]:
@@ -256,8 +256,8 @@ class UsbLink:
             received.append(self._byte[0])
         return received
 
-    # These closures are called in every turn and look up no attribute. With arguments a closure
-    # may hold at most five values: MicroPython allocates at each call for more.
+    # These closures are called in every turn and look up no attribute. A closure's values and
+    # arguments are at most five in all: for more MicroPython allocates at each call.
 
     def _make_read_into(self) -> "Callable[[bytearray], int]":
         """Return read_into(): the one that reads the ring, or MicroPython's stream if the ring was
@@ -267,7 +267,7 @@ class UsbLink:
         state, read_ring = for_kernels(self._state), _read_ring
         handle_flags, flush = self._handle_flags, self._flush
 
-        # It also sends waiting answers; that chain of calls may be the deepest on the stack.
+        # It sends answers without a call in between: this may be the deepest chain on the stack.
         def read_into(buf: bytearray) -> int:
             """Store received bytes in buf; returns their number."""
             count: int = read_ring(state, buf, len(buf))  # with the flags of _read_ring()
@@ -306,7 +306,7 @@ class UsbLink:
         """Return write(), which collects answers and sends them (see _collect())."""
         memory, add, send, make_room = self._memory, _add_answer, self._send, self._make_room
 
-        # Its values and those that it passes on are eleven: for more MicroPython allocates memory.
+        # Locals, closure values and stack are eleven words: for more MicroPython allocates memory.
         def write(data: "bytes | bytearray | memoryview") -> None:
             """Collect an answer, or send it with those that wait."""
             due = add(memory, data, len(data))  # bytes to send now, _LATER, or 0: no space
