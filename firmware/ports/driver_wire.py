@@ -64,6 +64,7 @@ class DriverWire:
         uart.write(request)
         echo_and_answer = memoryview(self._in)[: length + answer_bytes]
         count: int = uart.readinto(echo_and_answer) or 0
-        if bytes(echo_and_answer[:length]) != bytes(request):
+        # The buffer may still have the same request from last time, so the count is checked, too.
+        if count < length or bytes(echo_and_answer[:length]) != bytes(request):
             return None
         return bytes(echo_and_answer[length:count])

@@ -52,8 +52,9 @@ class Commands:
     options: the letters and numbers of [OPT:...]. single_axis_homing: $HX is allowed;
     override_control: $G shows M56. A command's method is passed the line, which a 0 ends, and its
     length without that; it raises GrblError to answer with an error. An "ok" is sent by the
-    caller. _answer: executes a line of G-code and answers it; health: returns a text on the chip,
-    if the chip can measure it; fault: text of the last one, "" for none.
+    caller. _answer: executes a line of G-code and answers it; in_startup: startup lines are being
+    executed; health: returns a text on the chip, if the chip can measure it; fault: text of the
+    last one, "" for none.
     """
 
     def __init__(
@@ -74,6 +75,7 @@ class Commands:
         self._override_control = override_control
         self._startup = [""] * STARTUP_LINES
         self._letters = self._make_letters()
+        self.in_startup = False
         self.health: "Callable[[], str] | None" = None
         self.fault = ""
 
@@ -101,12 +103,16 @@ class Commands:
     def run_startup(self) -> None:
         """Execute the startup lines that are not empty, and print an answer to each. If load() has
         found them invalid, the first call reports each as lost instead."""
-        for text in self._startup:
-            if not self._startup_valid:
-                self._report.startup_lost()
-            elif text:
-                line = bytearray(text.encode() + b"\0")
-                self._answer(line, len(line) - 1, self._report.startup_run(text))
+        self.in_startup = True
+        try:
+            for text in self._startup:
+                if not self._startup_valid:
+                    self._report.startup_lost()
+                elif text:
+                    line = bytearray(text.encode() + b"\0")
+                    self._answer(line, len(line) - 1, self._report.startup_run(text))
+        finally:
+            self.in_startup = False
         self._startup_valid = True
 
     # Dispatch

@@ -9,6 +9,7 @@ so long.
 """
 
 import re
+import sys
 from collections.abc import Generator, Iterator
 from io import BytesIO
 from pathlib import Path
@@ -567,3 +568,21 @@ def test_default_dialect_has_none_of_it() -> None:
             assert sender.take()[0].startswith("error:")
 
     rig.run(script())
+
+
+def test_help_is_no_homing_for_custom_handlers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, converse: Any
+) -> None:
+    """$HELP begins as $H does, after which on.after_homing runs."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (tmp_path / "custom_hal.py").write_text(
+        "from ugrbl import on\nheard = []\n@on.after_homing\ndef homed(m): heard.append(1)\n"
+    )
+
+    def session(talk: Talk) -> Script:
+        assert (yield from talk.ask("$HELP\n"))[-1] == "ok"
+        yield from talk.after(100)
+
+    converse(session, CUSTOM="custom_hal")
+    assert sys.modules["custom_hal"].heard == []

@@ -15,6 +15,7 @@ import pytest
 from extras.motors.tmc2209_chip import checksum
 from hypothesis import given
 from hypothesis import strategies as st
+from ports.driver_wire import DriverWire
 from rig_bench import Machine
 from ugrbl.boardfile import board_check
 from ugrbl.boardfile.files import load_board
@@ -429,3 +430,31 @@ def test_second_motor_has_its_axis_settings_and_a_name() -> None:
     first, second = (driver(machine, motor).registers[model.IHOLD_IRUN] for motor in (1, 3))
     assert first == second
     assert any(line.startswith("[TMC:Y2|") for line in machine.received)
+
+
+class _Echo:
+    """A UART that receives what it sends, until its wire is cut."""
+
+    is_cut = False
+
+    def __init__(self) -> None:
+        self._sent = b""
+
+    def any(self) -> int:
+        return 0
+
+    def write(self, data: "bytes | bytearray") -> None:
+        self._sent = b"" if self.is_cut else bytes(data)
+
+    def readinto(self, buf: "Any") -> "int | None":
+        buf[: len(self._sent)] = self._sent
+        return len(self._sent) or None
+
+
+def test_cut_wire_is_found_by_a_repeated_request() -> None:
+    """The first exchange leaves the same bytes in the buffer that the second expects as echo."""
+    uart = _Echo()
+    wire = DriverWire(uart)
+    assert wire.exchange(b"\x05\x00\x06\x6f", 8) == b""  # no driver answers
+    uart.is_cut = True
+    assert wire.exchange(b"\x05\x00\x06\x6f", 8) is None

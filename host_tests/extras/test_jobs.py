@@ -604,6 +604,19 @@ def with_switches(bench: Bench) -> Bench:
     return bench
 
 
+@pytest.mark.parametrize("dialect", ["1.1", "0.9"])
+@pytest.mark.parametrize("startup", ["G54", "G99"])
+def test_startup_lines_after_homing_are_no_lines_of_the_job(
+    tmp_path: Path, dialect: str, startup: str
+) -> None:
+    """$H runs the startup line; G99 is refused, which does not end the job. Line 5 is refused."""
+    bench = with_switches(Bench(tmp_path, DIALECT=dialect))
+    bench.put("A.NC", "G4P0.01", "$H", "G4P0.01", "G4P0.01", "G999", "G4P0.01")
+    output = bench.run(say(*HOMED, f"$N0={startup}", "$F=A.NC", wait_s=60))
+    refusals = [line for line in output if "is refused" in line]
+    assert len(refusals) == 1 and "Job A.NC: line 5 is refused with 20" in refusals[0]
+
+
 def test_job_entry_needs_a_homed_machine(tmp_path: Path) -> None:
     """@3: at line 3."""
     bench = Bench(tmp_path)

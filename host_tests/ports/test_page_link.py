@@ -283,6 +283,17 @@ def test_a_message_may_come_in_any_parts(bench) -> None:
     assert bench.steps() == [750, 0, 0]  # X1 and X2, relative
 
 
+def test_a_pong_before_the_answer_to_a_ping_does_not_change_it(bench) -> None:
+    def script(bench):
+        """Both frames arrive at once."""
+        page = yield from bench.open()
+        page.pipe.send(frame("hello", PING) + frame("other", PONG))
+        yield from bench.wait(1000)
+        assert page.all(PONG) == [b"hello"]
+
+    bench.run(script)
+
+
 @pytest.mark.parametrize(
     ("code", "data"),
     [

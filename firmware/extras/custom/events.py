@@ -65,8 +65,7 @@ class Events:
     in ms, its name in messages, and the function. _inputs: by name, whether it was closed at the
     last look. _changed[0]: 1 if an interrupt has seen an input change since. _last_run_state: at
     the last poll. _failed: handlers that failed after a welcome; _failure_causes_welcome: such a
-    failure causes the next welcome. _hold: executes M0's hold, None if none waits. _report_field:
-    the status report's field.
+    failure causes the next welcome. _hold: executes M0's hold, None if none waits.
     """
 
     def __init__(self, cnc: "Cnc", runner: "Runner") -> None:
@@ -80,6 +79,7 @@ class Events:
         self._timers: "list[list[Any]]" = []
         self._due: "list[tuple[str, tuple[Any, ...]]]" = []
         self._due_during_motion: "list[tuple[str, tuple[Any, ...]]]" = []
+        self._has_homed = False  # a command has, since the last after_homing
         self._is_polling = False  # poll() is running: a handler's wait calls it again
         self._has_started = False  # the welcome of power-up is over
         self._last_run_state = cnc.machine.state.run
@@ -248,6 +248,7 @@ class Events:
         self._wrap_lines()
         self._cnc.after_reset(self._after_reset)
         if "after_homing" in handled or "after_unlock" in handled:
+            self._wrap_homing()
             self._cnc.after_command(b"H", self._after_homing)
             self._cnc.after_command(b"X", self._after_unlock)
         if "tool_change" in handled:
@@ -315,7 +316,8 @@ class Events:
 
     def _after_homing(self, state_before: int) -> None:
         """Emit after_homing when $H has been executed without an alarm."""
-        if not self._state.alarm:
+        if self._has_homed and not self._state.alarm:
+            self._has_homed = False
             self._emit("after_homing")
             self.run_due()
 
@@ -340,6 +342,17 @@ class Events:
         except GrblError:
             api.tool = tool_before
             raise
+
+    def _wrap_homing(self) -> None:
+        """Note whether a command has homed the machine: others begin with H, too."""
+        previous = self._hooks.home
+
+        def home(axes: int) -> bool:
+            """Home as before, with the same argument and result."""
+            self._has_homed = previous(axes)
+            return self._has_homed
+
+        self._hooks.home = home
 
     def _wrap_probe(self) -> None:
         """Report each probing cycle as probe_done: with the contact position, or None."""

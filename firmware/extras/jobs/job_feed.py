@@ -50,7 +50,6 @@ _RETURN = const(13)
 _DOLLAR = const(36)
 _READ_ONLY_FLAG = const(0x80)  # in a queued answer, with the letter of a read-only command
 _LETTER_O = const(111)  # "o", with which "ok" begins
-_STARTUP_SIGN = const(62)  # ">", before the result of a startup line
 
 
 @micropython.viper
@@ -131,7 +130,6 @@ class Feed:
     that made each row of the planner's ring. _line_now, _line_before: line_in_motion() at
     the last look (at _looked_ms), and at the one before it, at least _IN_ENGINE_MS earlier;
     _held_line: the line that on_hold() was called for. _stack_at_start: bytes of stack in use.
-    _is_startup: the next answer is a startup line's.
 
     Of the sender: _sender_bytes, just read; _sender_line, its unfinished line, and
     _sender_line_length, which may be more than that holds; _answers, to its lines, _answer_count
@@ -165,7 +163,6 @@ class Feed:
         self._answer_count = 0
         self._file: "IO[bytes] | None" = None
         self._size = self._read_bytes = 0
-        self._is_startup = False
         self._looked_ms = self._stack_at_start = 0
         self._line_now = self._line_before = self._held_line = 0
         self.fault: "OSError | None" = None
@@ -208,8 +205,7 @@ class Feed:
 
         The results of startup lines, after $H, are sent.
         """
-        if not self.is_on or data[0] != _LETTER_O or self._is_startup:
-            self._is_startup = data[0] == _STARTUP_SIGN  # its ok follows
+        if not self.is_on or data[0] != _LETTER_O or self._machine.commands.in_startup:
             self._write_link(data)
         else:
             oks = len(data) >> 2  # it is 1 or 2 times "ok\r\n"
@@ -217,10 +213,9 @@ class Feed:
 
     def _refuse(self, code: int) -> None:
         """Handle a refused line: of the file by on_refusal, of the sender by an error."""
-        if self.is_on and not self._is_startup:
+        if self.is_on and not self._machine.commands.in_startup:
             self._on_refusal(code)
         else:
-            self._is_startup = False
             self._send_error(code)
 
     def discard(self) -> None:

@@ -77,8 +77,9 @@ class WebSocket:
     The frame being received: _head_received of the _head_length bytes of its _head have come, 2
     before the length is known; then _payload_received bytes of its payload, and _payload_left are
     to come. _in_message: a message has begun and not ended. _control_payload: a ping's or pong's.
-    _pong_length: bytes of it to send back; -1: none. The frame being sent: _out, of which the
-    bytes from _out_at to _out_end must still be sent.
+
+    The frame being sent: _out, of which the bytes from _out_at to _out_end must still be sent.
+    _pong: the payload of the pong to send after it; None: none is due.
     """
 
     def __init__(self, conn: "Connection") -> None:
@@ -95,7 +96,7 @@ class WebSocket:
         self._payload_received = 0
         self._in_message = False
         self._control_payload = bytearray(_MOST_CONTROL)
-        self._pong_length = -1
+        self._pong: "bytearray | None" = None
         self._out = bytearray(_HEAD_BYTES + _PAYLOAD)
         self._out_at = self._out_end = 0
         self._end_code = 0
@@ -228,7 +229,8 @@ class WebSocket:
             mask_at = self._head_length - _MASK_BYTES
             unmask(control, 0, self._payload_received, 0, self._head, mask_at, 0)
             if opcode == _PING:
-                self._pong_length = self._payload_received  # of several pings the last is answered
+                # A copy, because a pong may come before it is sent. The last ping is answered.
+                self._pong = control[: self._payload_received]
             elif self._ping_covers and control[: self._payload_received] == self._ping_payload:
                 self.unproved -= self._ping_covers
                 self._ping_covers = 0
@@ -272,9 +274,9 @@ class WebSocket:
                 self._ping_covers = self.unproved
             elif self.unproved > _MOST_UNPROVED:
                 return True
-            elif self._pong_length >= 0:
-                count, self._pong_length = self._pong_length, -1
-                self._put_frame(_PONG, self._control_payload, count)
+            elif self._pong is not None:
+                self._put_frame(_PONG, self._pong, len(self._pong))
+                self._pong = None
             elif self.news:
                 self._put_frame(_TEXT, self.news, len(self.news))
                 self.news = b""

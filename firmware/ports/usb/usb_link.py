@@ -71,7 +71,7 @@ _ANSWERS_BYTES = const(64)  # of answers that may wait,
 _OUT_BYTES = const(192)  # and with longer output, with which they are sent at once
 _MOST_QUIET_TURNS = const(2)  # turns without input that answers wait
 _LONGEST_ANSWER = const(16)  # bytes of the answer to a line; longer data is other output
-_LATER = const(1)  # result of _collect(): the answer waits. More is a count of bytes to send
+_LATER = const(-1)  # result of _collect(): the answer waits. Above 0: a count of bytes to send
 
 _HAS_FLAGS = const(0x100)  # in _read_ring()'s result, above its count: call _handle_flags()
 _FLUSH = const(0x200)  # its result if no byte was read and waiting answers must be sent
@@ -310,7 +310,7 @@ class UsbLink:
         def write(data: "bytes | bytearray | memoryview") -> None:
             """Collect an answer, or send it with those that wait."""
             due = add(memory, data, len(data))  # bytes to send now, _LATER, or 0: no space
-            if due > _LATER:
+            if due > 0:
                 send(due)
             elif not due:
                 make_room(data)
