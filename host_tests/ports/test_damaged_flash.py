@@ -3,7 +3,8 @@
 Each name is stored as NAME.txt with the copy before it as NAME.old; NAME.new exists only while a
 file is written. The last line of a file is its checksum. Power cuts are not damage: see
 test_flash_store.py. UGRBL_TORTURE starts a machine with every bit of every file flipped, and with
-every file cut at every byte; otherwise a random sample of damages is tried."""
+every file cut at every byte (flips=None); otherwise `flips` random bits are flipped and as many
+cuts tried. Dice(n): random numbers."""
 
 import os
 import shutil
@@ -40,8 +41,8 @@ _EVERY = os.environ.get("UGRBL_TORTURE") is not None
 @pytest.fixture(scope="module")
 def filled(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of a machine that has stored something under each name, twice."""
-    complete()
-    here = Path.cwd()
+    complete()  # MicroPython's functions of `time`
+    here = Path.cwd()  # the machine changes it
     folder = tmp_path_factory.mktemp("damage") / "board"
     store_under_all_names(str(folder))
     os.chdir(here)
@@ -57,7 +58,9 @@ def test_a_machine_starts_with_the_older_copy_of_any_damaged_file(
     monkeypatch.chdir(tmp_path)
     folder = tmp_path / "board"
     shutil.copytree(filled, folder)
-    start_damaged(str(folder), flash_files(str(folder)), name, Dice(1), None if _EVERY else 1)
+    start_damaged(
+        str(folder), flash_files(str(folder)), name, Dice(1), flips=None if _EVERY else 1
+    )
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -67,7 +70,7 @@ def test_damage_is_always_detected(name: str, filled: Path, tmp_path: Path) -> N
     files = flash_files(str(filled))
     newest, old = files[f"{name}.txt"], files[f"{name}.old"]
     (tmp_path / f"{name}.old").write_bytes(old)
-    for damaged_file in damages(newest, Dice(2), None if _EVERY else 100):
+    for damaged_file in damages(newest, Dice(2), flips=None if _EVERY else 100):
         (tmp_path / f"{name}.txt").write_bytes(damaged_file)
         store = FlashStore(f"{tmp_path}/")
         lines = store.load(name)
@@ -83,7 +86,7 @@ def test_damage_to_unused_copies_does_nothing(kind: str, filled: Path, tmp_path:
     files = flash_files(str(filled))
     (tmp_path / "settings.txt").write_bytes(files["settings.txt"])
     undamaged = FlashStore(f"{tmp_path}/").load("settings")
-    for damaged_file in damages(files["settings.old"], Dice(3), 20):
+    for damaged_file in damages(files["settings.old"], Dice(3), flips=20):
         (tmp_path / f"settings{kind}").write_bytes(damaged_file)
         store = FlashStore(f"{tmp_path}/")
         assert store.load("settings") == undamaged and not store.damaged
@@ -130,7 +133,6 @@ def test_the_machine_works_with_a_damaged_custom_py(
     monkeypatch.setattr("sys.dont_write_bytecode", True)  # or the older bytecode would run
     folder = str(tmp_path / "board")
     write_initial_files(folder)
-    # Dice(4): its random numbers; flips: how many bits are flipped, and how many cuts are tried.
     start_with_damaged_custom(folder, Dice(4), flips=6)
 
 
@@ -138,7 +140,7 @@ def test_the_machine_works_with_a_damaged_custom_py(
 @needs_micropython
 def test_micropython_starts_with_the_older_copy(filled: Path, tmp_path: Path) -> None:
     """The script damages all files, starts a machine, and prints how many reports of damage it
-    has sent."""
+    has sent. "custom" is read only after the report at the start."""
     folder = tmp_path / "board"
     shutil.copytree(filled, folder)
     printed = run_micropython(_BENCH, "damage", folder, paths=PATHS)

@@ -178,6 +178,7 @@ def test_a_write_calls_both_hooks_even_if_it_fails(
     store.before, store.after = lambda: calls.append("before"), lambda: calls.append("after")
     assert store.load("settings") == [] and calls == []
     if is_full:
+        # A save reads the files that exist, too.
         monkeypatch.setattr(FullFile, "read", lambda _: b"", raising=False)
         monkeypatch.setattr(flash_store, "open", lambda *_: FullFile(), raising=False)
         with pytest.raises(OSError, match="28"):

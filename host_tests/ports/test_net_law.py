@@ -83,7 +83,8 @@ class Storm:
     memory, and of one client with the key that stops nothing.
 
     ports: TCP, HTTP. open: connections, real sockets or Pipes (in memory). Pipe.room: bytes that
-    it accepts from the machine before it is full."""
+    it accepts from the machine before it is full. bench.door (TCP) and bench.visits (HTTP) accept
+    a socket only if no Pipe waits there."""
 
     def __init__(self, bench: NetBench, ports: "tuple[int, int]", seed: int) -> None:
         self.random = random.Random(seed)
@@ -101,7 +102,7 @@ class Storm:
         self.random.choice((*often, self.connect, self.say, self.watch))()
 
     def connect(self) -> None:
-        """Reconnect and never read: half-open, as far as the machine knows."""
+        """Connect a socket and never read: half-open, as far as the machine knows."""
         connection = socket.socket()
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1024)
         connection.setblocking(False)
@@ -119,7 +120,7 @@ class Storm:
 
     def call(self) -> None:
         """Connect a client in memory that reads nothing, a little, or all."""
-        if self.bench.door.waiting:  # else the clients at sockets would never be accepted
+        if self.bench.door.waiting:  # one is enough, or no socket would be accepted
             self.go()
             return
         pipe = self.bench.call(f"10.0.0.{self.random.choice(_STRANGERS)}")
@@ -135,7 +136,7 @@ class Storm:
 
     def visit(self) -> None:
         """Load the page again, or open its websocket again."""
-        if self.bench.visits.waiting:  # else they would be accepted only at the very end
+        if self.bench.visits.waiting:  # as in call()
             self.go()
             return
         pipe = self.bench.visit(self.random.choice(("10.0.0.9", "10.0.0.1")))
@@ -331,7 +332,7 @@ def record(
     folder.cleanup()
     if seed is not None:
         assert storm.acts > 500
-        # Two pieces whose reading nobody has proved take the page's memory for ten seconds.
+        # Only a few: pieces that they have not read take the page's memory for ten seconds.
         assert len([1 for pipe in storm.visitors if pipe.got]) > 1
     return rows, state
 
@@ -381,7 +382,9 @@ EVENTS = [
 def test_a_storm_of_clients_changes_no_segment(
     monkeypatch: pytest.MonkeyPatch, events: "dict[int, str]", by: str, seed: int
 ) -> None:
-    """The controlling client streams a program; in a storm its segments are those without one."""
+    """In a storm of clients the controlling client's program has the same segments as without.
+
+    seed: of the storm, and ms between two of its acts."""
     expected = quiet(monkeypatch, events, by)
     assert len(expected[0]) > 20
     in_storm = record(monkeypatch, events, by=by, seed=seed, each_ms=seed)
@@ -493,7 +496,7 @@ def test_a_soak_of_clients_changes_no_segment(monkeypatch: pytest.MonkeyPatch) -
                     storm.act()
                 yield wake
             this_round = stretches((bench.rows, bench.steps()))
-            if rounds == 1:  # rows of the first round lack old times of axes at rest
+            if rounds == 1:  # a row keeps old ticks of motors without steps; the first have none
                 quiet_round = this_round
             assert rounds < 2 or this_round == quiet_round, f"round {rounds}"
             rounds += 1

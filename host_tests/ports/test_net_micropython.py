@@ -83,7 +83,10 @@ print(json.dumps([longest, turns, [line.decode() for line in lines]]))
 
 
 class Board:
-    """Run the machine above, listening for clients until it reads END."""
+    """Run the machine above, listening for clients until it reads END.
+
+    listening: the port to wait for; arguments: its TCP port, or TCP and HTTP port and the folder
+    of the page."""
 
     def __init__(self, listening: int, *arguments: object) -> None:
         placed_firmware()  # may take long: do it before a client waits
@@ -236,8 +239,8 @@ def drive_by_page(port: int, out: list[str]) -> None:
     for line in ["$NET/KEY=23456789", *(f"G1X{number}" for number in range(_LINES)), "END"]:
         data = f"?{line}\n".encode()
         cut = chance.randrange(len(data))
-        parts = frame(data[:cut], last=False) + frame(b"", PING) + frame(data[cut:], 0)
-        # parts: two frames with a ping between them
+        # Two frames of one message (opcode 0 continues it) with a ping between them.
+        parts = frame(data[:cut], last=False) + frame(b"", PING) + frame(data[cut:], opcode=0)
         connection.sendall(parts if cut % 2 else frame(data))
         text = ""
         while not re.search("ok\r\n|error:", text):

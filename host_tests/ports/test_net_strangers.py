@@ -137,8 +137,9 @@ def test_a_flood_of_read_only_lines_delays_no_client_with_the_key(bench, by: str
 @pytest.mark.parametrize("by", ["cable", "key"])
 def test_a_reset_ends_the_loan_of_a_client_without_the_key(bench, by: str) -> None:
     def script(bench):
-        """The cable, or a client with the key (by), resets while 20 read-only lines of a client
-        without the key are executed, whose answers are lost: its lines are executed then."""
+        """The cable, or a client with the key (by), resets while the machine is lent to a client
+        without it for 20 read-only lines: the rest is dropped, and a line after the reset is
+        executed."""
         stranger, pipe = bench.call("10.0.0.66"), (yield from joined(bench))
         yield from bench.wait(50)
         stranger.take()

@@ -63,11 +63,11 @@ class Bench:
                     bench.exchange(byte)
 
             def readinto(self, into: bytearray, byte: int) -> None:
-                for at in range(len(into)):
-                    into[at] = bench.exchange(byte)
+                for i in range(len(into)):
+                    into[i] = bench.exchange(byte)
 
-            def read(self, bytes_before: int, byte: int) -> bytes:
-                return bytes(bench.exchange(byte) for _ in range(bytes_before))
+            def read(self, count: int, byte: int) -> bytes:
+                return bytes(bench.exchange(byte) for _ in range(count))
 
         self.pin, self.bus = Pin, Bus
 
@@ -230,7 +230,8 @@ def test_a_card_removed_at_any_byte_is_a_fault_and_gives_no_wrong_block(
     bench.bytes, bench.out_at = 0, out_at + 1
     begun_us = bench.us
     buffer = bytearray(BLOCK)
-    if driver.readblocks(9, buffer) == 0:  # the read had ended already
+    if driver.readblocks(9, buffer) == 0:  # the block had been read already
+        # Fewer than 20 bytes were exchanged without the card.
         assert buffer == block_of(bench, 9) and bench.bytes < out_at + 20
     assert bench.us - begun_us < _LOOP_MS * 1000
     bench.card.is_in = False

@@ -109,22 +109,22 @@ def test_an_announced_longer_task_is_stopped_after_its_time(machine: Machine) ->
 
 
 def test_several_delayed_soft_beats_count_as_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As on an ESP32, whose timer interrupts wait while flash is written: eight of them then
-    come at once. After that, beats 50 ms apart count again."""
+    """As on an ESP32, whose timer interrupts wait while flash is written: eight of them then come
+    at once, and count as one beat, 50 ms. Four more, 50 ms apart, reach the limit."""
     monkeypatch.setattr(supervisor, "sys", SimpleNamespace(platform="esp32"))
     timer = supervisor.Timer(-1)
     monkeypatch.setattr(supervisor, "Timer", lambda number: timer)
     machine = Machine()
-    machine.watch.allow(2500)  # before flash is written
+    machine.watch.allow(2500)  # ms, before flash is written
     machine.ms = 1000
-    machine.watch.allow(0)  # flash is written
+    machine.watch.allow(0)  # flash has been written
     for _ in range(8):
         machine.watch._timer.expire()
     assert "kill" not in machine.log
     for _ in range(4):
         machine.ms += 50
         machine.watch._timer.expire()
-    assert machine.log[-2:] == ["kill", "stop"], "the count starts again there"
+    assert machine.log[-2:] == ["kill", "stop"], "after five beats"
 
 
 @pytest.mark.parametrize("failing_call", ["feed", "poll", "reset"])

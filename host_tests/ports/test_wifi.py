@@ -152,7 +152,6 @@ def test_the_network_is_set_up_only_while_idle_and_only_at_the_cable(bench: NetB
 def test_a_new_machine_makes_a_key_and_shows_it_once_at_the_cable(bench: NetBench) -> None:
     """All output at the cable is collected (output)."""
     del bench.store.files["network"]  # as on a new machine
-    heard: list[str] = []
 
     def script(bench: NetBench) -> Iterator[Any]:
         """Reset a new machine while a client is connected: the client does not receive the key,
@@ -162,7 +161,7 @@ def test_a_new_machine_makes_a_key_and_shows_it_once_at_the_cable(bench: NetBenc
         pipe.send("\n")
         bench.rig.link.cable.send(b"\x18")  # reset
         yield from bench.wait(500)
-        heard.extend(bench.sender.take())
+        bench.sender.take()
         assert "key" not in pipe.take()
 
     take = bench.sender.take
@@ -294,7 +293,7 @@ def test_the_cable_works_without_a_network_or_with_a_failing_radio(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """First nothing is stored for the network, then a port that is not a number, which raises
-    at the start."""
+    at the start. _calls: None without a network."""
     lines: list[str] = []
     store = SimpleNamespace(load=lambda name: lines)
     monkeypatch.setattr(air, "FlashStore", lambda: store)

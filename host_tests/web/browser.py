@@ -5,7 +5,8 @@ a machine with limit switches and 30 mm of travel, locked until it is homed; it 
 mm on each axis. reads(selector, text) and sees(state) wait until the page shows it; waits(script)
 waits until the JavaScript holds in the page. There `grbl` is the page's model of the machine
 (grbl.machine and grbl.work: position in mm) and `job` is the program being sent. rests_at() waits
-until the machine is idle at that work position in mm; pauses() takes seconds; loads() opens a
+until the machine is idle at that work position in mm; shown_place() waits until it is idle and
+returns the displayed position, place() returns it at once; pauses() takes seconds; loads() opens a
 program; types() sends a line in the console; evaluate() runs JavaScript and returns its value.
 `person.machine` is the machine's end of the wire: lines() and `sent` are what the page has sent,
 say() sends bytes to the page, `hears = False` lets the machine receive nothing, report() asks the

@@ -29,6 +29,7 @@ class Board:
     def __init__(self, settings: Path) -> None:
         """Start the simulator; wait for its page's address and its network key."""
         command = [sys.executable, "-m", "ugrbl.cli", "sim", "--board", "sim_page", "--stdio"]
+        # 0: any free port.
         command += ["--settings", str(settings), "--network", "0", "--page", "0"]
         self.process = subprocess.Popen(
             command,

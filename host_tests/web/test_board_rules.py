@@ -63,7 +63,7 @@ def _option(name: str, rng: random.Random) -> Any:
         return rng.choice(
             (*limits_and_beyond, *(rng.randint(option.low, highest) for _ in range(16)))
         )
-    if option.kind is WORD and option.words:
+    if option.kind is WORD and option.words:  # no form of the page offers "punch"
         return rng.choice([*[word for word in option.words() if word != "punch"] * 4, "steam"])
     if option.kind is NAMES:
         return (
@@ -190,7 +190,7 @@ def test_every_board_stays_same_when_edited(page: Any, tmp_path: Path) -> None:
         changeable += 1
         file = tmp_path / f"again_{name}.py"
         file.write_text(text)
-        again, before = _says(load(file)), _says(load_board(name))
+        again, before = _stated_options(load(file)), _stated_options(load_board(name))
         # The page writes CHIP and PWM_MAX even where the original file leaves them out.
         before.setdefault("CHIP", again["CHIP"])
         before.setdefault("PWM_MAX", again["PWM_MAX"])
@@ -198,7 +198,7 @@ def test_every_board_stays_same_when_edited(page: Any, tmp_path: Path) -> None:
     assert changeable > 10  # at least this many boards were compared
 
 
-def _says(board: Any) -> dict[str, Any]:
+def _stated_options(board: Any) -> dict[str, Any]:
     """Return the options in a board's module, without those that have their default."""
     defaults = {"MIST": False, "CONTROL": (None,) * 4, "NO_PULL_UP": ()}
     found = {name: value for name, value in vars(board).items() if name.isupper()}

@@ -208,7 +208,7 @@ def test_fault_is_shown_at_once_in_words_of_board_check(set_up):
     person.click("text=My own")
     # Pin 34 has no output.
     give(person, step_X=34, step_Y=25, step_Z=26, dir_X=27, dir_Y=14, dir_Z=13)
-    person.reads("#pins-says", "STEP: pin 34 of ESP32 can only read")
+    person.reads("#pins-says", "STEP: pin 34 of ESP32 is an input only: choose another")
     assert not person.page.is_enabled("#send-board")
     give(person, step_X=12)  # a strapping pin, read at power-up
     person.reads("#pins-says", "STEP: pin 12 pulled up at start selects the wrong flash voltage")

@@ -350,7 +350,7 @@ def test_program_is_previewed_at_its_position_and_again_after_zero_moves(person_
     assert person.bridge.looked["offsets"]["G54"] == [0, 0, 1.5]
     count = person.bridge.asked_for.count("/api/look")
     person.pauses(1.5)
-    assert person.bridge.asked_for.count("/api/look") == count == 2, "not for nothing"
+    assert person.bridge.asked_for.count("/api/look") == count == 2, "only after a change"
 
 
 def test_reports_in_inches_are_previewed_in_millimetres(person_at):
@@ -488,7 +488,7 @@ def test_refusal_by_custom_py_is_not_explained_as_command(person_at, tmp_path):
         "from ugrbl import Refuse, mcode\n\n\n"
         "@mcode(100)\ndef close(m):\n    raise Refuse('close the door')\n"
     )
-    person = person_at(None, "--custom", str(custom))
+    person = person_at({}, "--custom", str(custom))
     person.open_from_disk()
     person.connect()
     person.types("M100")

@@ -58,7 +58,8 @@ def test_refused_line_holds_machine_and_is_named(person):
 
 
 def test_key_of_resume_does_not_resume_after_refused_line(person):
-    """There the button is disabled, too: only `Go on without that line` and `End job` decide."""
+    """In Hold:0, stopped, the button is disabled: only `Go on without that line` and `End job`
+    decide."""
     person.loads("G21 G90\nG1 X30 F600\nBAD\nG1 X0\n")
     person.click("#run")
     person.waits("job?.state === 'refused' && grbl.state === 'Hold' && grbl.detail === '0'")
@@ -152,12 +153,12 @@ def test_ended_job_keeps_position(person):
     person.reads("#job-words", "it was ended; the position is kept")
     person.sees("Idle")
     assert person.shown_place()[0] > 1
-    # Hold first, and a reset at rest: no step is lost.
+    # Hold first, and a reset once it has stopped: no step is lost.
     assert sent_at_once(person.machine) == b"!\x18"
 
 
 def test_job_ended_with_door_open_does_not_go_on(person):
-    """Resume after the door would execute what the machine still has of the ended job."""
+    """End resets the machine also in the state Door: Resume would execute the lines it has."""
     person.loads(FAR)
     person.click("#run")
     person.waits("grbl.machine[0] > 2")
@@ -222,7 +223,7 @@ def test_realtime_character_in_code_is_not_sent(person):
 
 def test_thousands_of_lines_stream_without_stalling(person_at):
     """3000 short moves are sent to a simulator that runs as fast as it can; each is sent once."""
-    person = person_at(None, "--speed", "max")
+    person = person_at({}, "--speed", "max")
     person.open_from_disk()
     person.connect()
     moves = "".join(f"G1 X{i % 100 / 10:.1f} Y{i % 70 / 10:.1f}\n" for i in range(3_000))

@@ -23,7 +23,7 @@ SHOWN = shown_texts.shown()
 # Sentences in scripts that are not shown by the page: parts of files, G-code, and values of data.
 _NOT_SHOWN = {
     *("use strict", "True or False", "whole number", "0 or more", "#offsets input"),
-    *("(prefers-color-scheme: dark)", "[MSG:Somebody else drives]", "My machine"),
+    *("(prefers-color-scheme: dark)", "[MSG:Another has control]", "My machine"),
     *("(moves follow a height map)", "# See esp32_devkit.py."),
 }
 _IN_BOARD_FILE = re.compile("[A-Z_]+ = ")
@@ -80,7 +80,7 @@ def test_every_sentence_in_scripts_is_tagged() -> None:
         for where in shown_texts.untagged()
         if (text := where.partition(": ")[2]) not in _NOT_SHOWN
         and not _IN_BOARD_FILE.match(text)
-        and not re.match(r'\n|"""', text)  # Python
+        and not re.match(r'\n|"""', text)  # of a Python file
     ]
     assert not untagged, "write t`…`"
 

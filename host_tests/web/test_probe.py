@@ -108,7 +108,7 @@ def work_zero(person: Person) -> "list[float]":
 
 @pytest.mark.parametrize(("side", "axis", "edge_mm"), [("left", 0, 8), ("front", 1, 6)])
 def test_edge_accounts_for_tool_and_plate(prober_at, side, axis, edge_mm):
-    """Zero is set at the edge itself: half the tool and the plate are subtracted."""
+    """Zero is set at the edge itself: half the tool and the plate are added to the contact."""
     # The block's left front corner: one side is at `edge_mm`, the other one 20 mm away.
     prober = prober_at({"block": [8, -20] if axis == 0 else [-20, 6]})
     choose(prober, "Edge")
@@ -226,7 +226,7 @@ def test_height_map_is_probed_drawn_saved_and_applied_to_program(prober, tmp_pat
         tuple(map(float, words))
         for words in re.findall(r"^G1 X(\S+) Y(\S+) Z(\S+) F600$", levelled, re.MULTILINE)
     ]
-    assert len(cuts) > 20  # 6 lines before
+    assert len(cuts) > 20  # from 5 moves in _CUTS
     for x, y, z in cuts:
         # The program cuts at Z-0.5.
         assert z == pytest.approx(-0.5 + surface(x, y), abs=0.03)

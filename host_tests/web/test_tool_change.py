@@ -96,7 +96,7 @@ def test_return_starts_from_zero_that_was_set_just_before_confirmation(person):
     person.waits("document.getElementById('tool-change').hidden")
     person.reads("#job-words", "Job done: nothing refused")
     lines = person.machine.lines()
-    assert "G0 Z5" in lines[lines.index("T2 M6") : lines.index("T2")]
+    assert "G0 Z5" in lines[lines.index("T2 M6") : lines.index("T2")]  # from Z0 now
 
 
 def test_confirmation_is_possible_while_page_asks_for_modes(person):
@@ -106,7 +106,8 @@ def test_confirmation_is_possible_while_page_asks_for_modes(person):
 
 
 def test_nothing_moves_before_place_of_pause_is_noted(person):
-    """Else the tool would return to where it was jogged in that half second."""
+    """In a pause the page asks for the offsets, then notes the place to which the tool returns: a
+    jog in between would change it."""
     person.page.evaluate("""() => {
         window.early = [];
         const enabled = () => !$("go-zero").disabled || NEEDS.jog();
@@ -181,7 +182,7 @@ def test_laser_stays_off_after_change(person_at):
 
 def test_tool_length_is_measured_in_change(person_at):
     """The first change measures the reference, the second one the difference."""
-    person = person_at(None, "--input", "probe=Z-12")  # the simulated probe closes at Z-12 mm
+    person = person_at({}, "--input", "probe=Z-12")  # the simulated probe closes at Z-12 mm
     person.open_from_disk()
     person.connect()
     pauses_at_change(person, "G21 G90\nT1 M6\nG0 Z5\nT2 M6\nG0 Z3\nM2\n")
@@ -192,7 +193,7 @@ def test_tool_length_is_measured_in_change(person_at):
     person.reads("#probe-says", "Done.")
     goes_on(person)
     person.waits("!document.getElementById('tool-change').hidden")
-    person.page.evaluate("probeSet.reference -= 2")  # as if the first tool were 2 mm longer
+    person.page.evaluate("probeSet.reference -= 2")  # as if the first tool were 2 mm shorter
     person.click("#tool-length")
     person.click("#probe-run")
     person.reads("#probe-says", "Done.")
@@ -263,7 +264,7 @@ def test_change_by_custom_py_needs_no_page_and_shows_its_question(person_at):
     The page only shows the question of the handler, and resumes.
     """
     custom = str(EXAMPLES / "custom" / "tool_length.py")
-    person = person_at(None, "--custom", custom, "--input", "probe=Z-30")
+    person = person_at({}, "--custom", custom, "--input", "probe=Z-30")
     person.open_from_disk()
     person.connect()
     person.loads("G21 G90\nT2 M6\nG0 X1\nM2\n")

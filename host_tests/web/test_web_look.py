@@ -7,6 +7,7 @@ numbers as keys: 110 is the X rate, 130 to 132 the travel.
 
 STANDING is the state of a machine, for a request: position (-50, -60, -5.5), offsets of G54 (-100,
 -110, -30) and G55 (-10, -20, 0), G28 at (-5, -6, -7), G92 (1, 2, 3), tool length 4 mm, and modes.
+@played makes a coroutine a plain function; served() runs a server at a board.
 """
 
 import asyncio
@@ -182,7 +183,7 @@ def test_travel_violation_is_reported_in_preview(tmp_path: Path) -> None:
         tmp_path,
         request,
         {**request, "settings": {**settings, "20": "0"}},
-        # X homes at its other end.
+        # X homes at its other end ($23), which is its zero then (Z in the options).
         {**request, "settings": {**settings, "23": "1"}, "options": "VNZ"},
     )
     assert [(row["line"], row["code"]) for row in found["problems"]] == [(2, 2), (5, 2)]

@@ -6,7 +6,8 @@ drivers and watchers: how many there are; link: the name of the board and whethe
 job: the shared program and its progress), wait(text) and ask(line) return what the board has
 answered, leave() closes, vanish() breaks the connection as in a crash, go_deaf() stops reading. A
 `FakeBoard` records its input in `got`; say() is its output, and `stuck = True` lets it accept
-nothing. `site.log` are the lines of the server's log.
+nothing. `site.log` are the lines of the server's log. @played makes a coroutine a plain function;
+served() runs a server at a board.
 """
 
 import asyncio
@@ -163,7 +164,7 @@ async def test_stop_overtakes_lines_that_board_has_not_read(
         await asyncio.sleep(0.2)
         board.stuck = False
         await board.wait_for(b"$X\n")
-        assert board.got == b"G4 P1\n!\x18$X\n", "and what a reset comes behind is not done"
+        assert board.got == b"G4 P1\n!\x18$X\n", "lines before a reset are discarded"
 
 
 # Control
