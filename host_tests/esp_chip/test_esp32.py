@@ -67,11 +67,7 @@ Grbl 1.1h ['$' for help]
 
 
 def limit_script(board: str) -> Talk:
-    """Return a script with a limit switch that closes in the middle of a move.
-
-    A script has a text to send, and the text in the answer to wait for; esp_boot.py explains "ms"
-    (wait) and "pin" (level of a pin).
-    """
+    """Return a script with a limit switch that closes in the middle of a move."""
     pin = load_board(board).LIMIT[0]
     talk = [("$21=1\n", "ok"), ("G1 X20 F1200\n", "ok"), ("ms 300", ""), (f"pin {pin} 0", "cont")]
     return [*talk, (f"pin {pin} 1", ""), ("\x18", "unlock")]
@@ -190,6 +186,7 @@ def test_failing_engine_is_reported_with_the_tool_off_and_recovers_by_a_reset(
     output = run_firmware(board, tmp_path, talk)
     # On before the failure, off after it; then a reset, and motion works.
     assert "duty 65535\n" in output and output.index("duty 0\n") > output.index("failed")
+    # "fail" raises ValueError("an error that is ok"); its words are changed for senders.
     words = "[MSG:RuntimeErr: refilling the step pulse buffer failed: ValueErr an err that is o-k"
     assert words in output and output.index("ALARM:") < output.index(words)
     assert output.rsplit("<", 1)[1].startswith("Idle|")
@@ -504,13 +501,13 @@ def test_garbage_is_collected_during_trains_longer_than_a_collection(
 ) -> None:
     """Otherwise a collection starts by itself between two trains, and motion waits for it."""
     took_us, now_us = 7700, 0  # a collection's time
-    begun: list[int] = []  # per train: free time until the engine's next turn, in us
+    trains = 0  # played so far
     collected_at: list[int] = []  # number of the trains before each collection
 
     def collect() -> None:
         nonlocal now_us
         now_us += took_us
-        collected_at.append(len(begun))
+        collected_at.append(trains)
 
     class Clock:
         ticks_us = staticmethod(lambda: now_us)
@@ -519,10 +516,9 @@ def test_garbage_is_collected_during_trains_longer_than_a_collection(
     monkeypatch.setattr(timer_engine, "gc", SimpleNamespace(collect=collect))
     monkeypatch.setattr(timer_engine, "time", Clock)
     engine = timer_engine.TimerEngine()
-    # Free time of each train: shorter than a collection at first and at the end.
+    # Free time of each train in us. A collection follows 100 trains, if the time is enough for the
+    # last one's 7700 us; after 200 trains without one, half of that is assumed.
     for free_us in [5000] * 250 + [12_000] * 300 + [8000] * 100 + [7000] * 200:
         engine._collect(free_us)
-        begun.append(free_us)
-    assert collected_at == [99, 250, 350, 450, 550, 751], (
-        "what it takes is known, and tried anew in the end"
-    )
+        trains += 1
+    assert collected_at == [99, 250, 350, 450, 550, 751]

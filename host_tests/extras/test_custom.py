@@ -2,9 +2,9 @@
 
 bench(text) is a machine with this custom.py. cnc.say() powers it up and sends texts, each with
 what to wait for: "ok" (an answer), "idle", "banner" or "ms 100" (100 ms); it returns the replies
-to each text. Then cnc.heard has what handlers have added to their list `heard`, cnc.mm the motors'
-position, cnc.outputs a bit per output, cnc.power the spindle's PWM, cnc.greeting the lines at
-power-up.
+to each text. lines() are texts that wait for "ok". Then cnc.heard has what handlers have added to
+their list `heard`, cnc.mm the motors' position, cnc.outputs a bit per output, cnc.power the
+spindle's PWM, cnc.greeting the lines at power-up.
 """
 
 import sys
@@ -47,7 +47,7 @@ class Bench:
         self.rig = Rig(board, self.store)
         self._name = name
         self.sender = Sender(self.rig)
-        self.sender.allow(3_600_000)  # ms
+        self.sender.allow(3_600_000)  # ms for all waits
 
     @property
     def heard(self) -> "list[Any]":
@@ -74,7 +74,7 @@ class Bench:
                 yield from self.sender.wait(how, text)
                 replies.append(self.sender.take())
             steps = self.rig.scratch
-            self.rig.engine.position(steps)
+            self.rig.engine.position(steps)  # fills it
             self.mm = [step / _STEPS_PER_MM for step in steps]
             self.outputs = self.rig.port.own_outputs
             self.power = self.rig.port.spindle_pwm
@@ -281,7 +281,7 @@ def calls(m):
     m.g("T2")
     heard.append(m.tool)
     m.g("M3 S100")
-    heard.append("behind")
+    heard.append("after M3")
     m.home()
     heard.append("home")
 @on.tool_select
@@ -297,7 +297,7 @@ def homed(m): heard.append("homed")
         cnc.rig.engine.switches.append(Switch(f"limit_{axis}", motor, True, 500))
     replies = cnc.say(*lines("$22=1", "$X", "M101", "$N0=M100P7"))  # $N0 runs its line at once
     assert replies[2] == replies[3] == ["ok"]
-    assert cnc.heard == [3.0, ("T", 2), 2, "M3", "behind", "homed", "home", 7.0]
+    assert cnc.heard == [3.0, ("T", 2), 2, "M3", "after M3", "homed", "home", 7.0]
 
 
 def test_line_waits_for_the_handlers_of_the_line_before(bench: Make) -> None:
@@ -371,14 +371,12 @@ def failing(kind: str) -> str:
     With tool 9 selected, its timer fails in the same way as soon as Y is above 2 mm.
     """
     return f"""
-calls = [0]
 @mcode(100)
 def word(m):
     m.g("G91 G0 X3")
     {kind}
 @every(10)
-def beside(m):
-    calls[0] += 1
+def timer(m):
     if m.tool == 9 and m.position().y > 2:
         {kind}
 """
@@ -397,11 +395,12 @@ def test_failing_word_lets_motion_end_and_stops_the_spindle(bench: Make, kind: s
 
 
 def test_failure_message_is_no_answer_and_names_the_line(bench: Make) -> None:
-    """The message has no "ok" or "error", although the exception's text does."""
+    """The message has no "ok" or "error", although the exception's text does. Line 7 fails: the
+    fixture adds two lines before the text of failing()."""
     cnc = bench(failing("raise ValueError('ok error')"))
     (replies,) = cnc.say(("M100\n", "ms 3000"))
     (message,) = [line for line in replies if line.startswith("[MSG:M100: custom_")]
-    assert "line 8, in word" in message and "ok" not in message and "error" not in message
+    assert "line 7, in word" in message and "ok" not in message and "error" not in message
     assert (
         replies.index(message)
         < replies.index("ALARM:34")
@@ -547,7 +546,7 @@ def long(m):
         ("G91G1X2F900\n", "idle"),
     )
     assert "Grbl 1.1h" in str(replies[1]) and cnc.heard == []
-    assert cnc.outputs == 0, "a reset sets outputs to rest"
+    assert cnc.outputs == 0, "a reset switches outputs off"
     # The last line moves X by 2 mm from where the reset has stopped it, at 0 to 1 mm.
     assert replies[3] == ["ok"] and -0.1 < cnc.mm[0] - 2 < 1.1
 

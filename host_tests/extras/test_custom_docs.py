@@ -1,6 +1,7 @@
 """Test docs/custom.md: its code works, its lists are complete.
 
-Names that custom.py uses also exist on a board.
+Names that custom.py uses also exist on a board. blocks("python", "board") are the page's code
+blocks that begin with ```python board. Shop, a machine, is explained in test_custom_examples.py.
 """
 
 import ast

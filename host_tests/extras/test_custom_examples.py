@@ -5,8 +5,9 @@ The simulated machine begins at 0, the upper end of its Z; 250 steps are a milli
 shop("NAME") is a machine with this example. cnc.say() powers it up, sends lines and returns their
 answers. In a script, cnc.send(line) waits for the answer, and cnc.send(text, "ms 500") for 500 ms;
 cnc.start(line) waits for a hold or another state, as cnc.until(state) does. cnc.close() closes an
-input. Results are cnc.position_mm(), cnc.messages (texts of [MSG:…]), cnc.answers (with alarms)
-and cnc.output_changes: name, level and position in mm of each change.
+input; cnc.switch() and Solid() let the probe touch in a region. Results are cnc.position_mm(),
+cnc.messages (texts of [MSG:…]), cnc.answers (with alarms) and cnc.output_changes: name, level and
+position in mm of each change.
 """
 
 import itertools
@@ -61,8 +62,8 @@ class Shop:
         monkeypatch.syspath_prepend(str(_EXAMPLES))
         monkeypatch.setattr(sys, "dont_write_bytecode", True)
         defaults = {**_FAST, **options.pop("settings", {})}
-        plain = ModuleType("shop %s" % defaults)
-        vars(plain).update(vars(load_board("sim")), DEFAULTS=defaults, __name__=plain.__name__)
+        plain = ModuleType("plain")  # for the store: without the example
+        vars(plain).update(vars(load_board("sim")), DEFAULTS=defaults)
         self.board = ModuleType("board")
         vars(self.board).update(vars(plain), CUSTOM=name, **options)
         self.outputs = list(getattr(self.board, "OUTPUTS", {}))
@@ -75,7 +76,7 @@ class Shop:
         """Start a machine with this store."""
         self.rig = Rig(self.board, store)
         self.sender = Sender(self.rig)
-        self.sender.allow(600_000)  # ms
+        self.sender.allow(600_000)  # ms for all waits
         self.rig.port.drive = self._watched(self.rig.port.drive)  # type: ignore[method-assign]
 
     def _watched(self, drive: "Callable[[int], None]") -> "Callable[[int], None]":
@@ -272,7 +273,7 @@ def test_length_is_restored_after_a_reset_and_power_off(shop: Make) -> None:
         yield from cnc.start("~", "Idle")  # the tool is in; it is measured
         yield from cnc.send("\x18", "banner")
         offsets.extend((yield from cnc.send("$#")))
-        yield from cnc.sender.silence(cnc.rig.now, 500)
+        yield from cnc.sender.silence(cnc.rig.now, 500)  # ms without output, before power-off
 
     cnc.run(script())
     assert "[TLO:-35.000]" in offsets
@@ -410,7 +411,8 @@ def test_missing_touch_plate_is_an_alarm_and_changes_no_offset(shop: Make) -> No
 
 
 def test_middle_of_a_pocket_is_found_and_reported(shop: Make) -> None:
-    """The pocket is 32 by 24 mm about X4 Y-4, R1.5 in inches. Its middle becomes zero of G55."""
+    """The pocket is 32 by 24 mm about X4 Y-4; its middle becomes zero of G55. R: no wall is
+    further away than this, here 1.5 inches."""
     cnc = shop("pocket")
     cnc.rig.engine.switches.append(Solid(cnc, lambda x, y, z: not (-12 < x < 20 and -16 < y < 8)))
     assert cnc.say("G20 G55", "M112 R1.5") == ["ok", "ok"], cnc.messages
@@ -745,7 +747,7 @@ def test_part_is_picked_and_placed(shop: Make) -> None:
     def script() -> "Iterator[Any]":
         """Pick with M116 at X1 inch, place with M117 at X2 inches."""
         yield from cnc.send("G20 G0 X1")
-        # 12.7 mm down at 600 mm/min take 1.3 s. Then it waits 0.8 s for the vacuum sensor.
+        # 12.7 mm down at 600 mm/min take 1.3 s. Then it waits up to 0.8 s for the vacuum sensor.
         yield from cnc.send("M116 Z-0.5\n", "ms 1900")
         assert cnc.position_mm()[2] == pytest.approx(-12.7, abs=0.01)
         cnc.close("gripped")
@@ -848,7 +850,7 @@ def turn_wheel(cnc: Shop, edges: int) -> "Iterator[Any]":
             yield cnc.rig.ms(3)
 
 
-@pytest.mark.usefixtures("each_ms")
+@pytest.mark.usefixtures("each_ms")  # polls each ms: a contact changes every 3 ms
 @pytest.mark.parametrize(("edges", "coarse", "mm"), [(10, False, 0.1), (-10, True, -1.0)])
 def test_wheel_jogs_by_its_edges(shop: Make, edges: int, coarse: bool, mm: float) -> None:
     """0.01 mm per edge, or 0.1 mm with the switch "coarse"; the switch "y" chooses the axis."""
@@ -922,8 +924,11 @@ class Wire:
         return sent or None
 
 
-def frame(axis: int = 0, clicks: int = 0, percent: int = 100, buttons: int = 1) -> bytes:
-    """Return a frame of the pendant. buttons: bits 1 enabling, 2 plus, 4 minus, 8 hold."""
+_ENABLE, _PLUS, _HOLD = 1, 2, 8  # bits of the pendant's buttons
+
+
+def frame(axis: int = 0, clicks: int = 0, percent: int = 100, buttons: int = _ENABLE) -> bytes:
+    """Return a frame of the pendant. buttons: those that are held."""
     data = bytes((0xA5, axis, clicks & 255, 10, percent, buttons))  # 10: 0.1 mm per click
     return data + bytes((sum(data) & 255,))
 
@@ -970,12 +975,12 @@ def test_jog_of_the_serial_pendant_ends(pendant: Shop, end: str) -> None:
 
     def script() -> "Iterator[Any]":
         """Hold "plus" for 100 frames (2 s); then end in the way that the parameter `end` says."""
-        yield from repeated(pendant, frame(0, percent=50, buttons=1 | 2), 100)
+        yield from repeated(pendant, frame(0, percent=50, buttons=_ENABLE | _PLUS), 100)
         seen.append(pendant.position_mm()[0])
         seen.extend((yield from pendant.reports()))
-        buttons = {"enabling button released": 2, "button released": 1}
-        if end in buttons:
-            yield from repeated(pendant, frame(0, percent=50, buttons=buttons[end]), 40)
+        still_held = {"enabling button released": _PLUS, "button released": _ENABLE}
+        if end in still_held:
+            yield from repeated(pendant, frame(0, percent=50, buttons=still_held[end]), 40)
         yield pendant.rig.ms(800)  # longer than the jog needs to end
         seen.append(pendant.position_mm()[0])
         yield from pendant.until("Idle")
@@ -994,11 +999,11 @@ def test_hold_of_the_serial_pendant_acts_once_in_a_program(pendant: Shop) -> Non
     def script() -> "Iterator[Any]":
         """In a program: clicks with "plus", then the hold button; ~, and the button again."""
         yield from pendant.send("G1 X20 F1000\n", "ms 100")
-        yield from repeated(pendant, frame(1, clicks=9, buttons=1 | 2), 5)
-        yield from repeated(pendant, frame(buttons=1 | 8), 20)
+        yield from repeated(pendant, frame(1, clicks=9, buttons=_ENABLE | _PLUS), 5)
+        yield from repeated(pendant, frame(buttons=_ENABLE | _HOLD), 20)
         assert "<Hold" in (yield from pendant.reports())[0]
         yield from pendant.send("~", "ms 100")
-        yield from repeated(pendant, frame(buttons=1 | 8), 5)
+        yield from repeated(pendant, frame(buttons=_ENABLE | _HOLD), 5)
         yield from pendant.until("Idle")
 
     pendant.run(script())
@@ -1016,7 +1021,7 @@ _RACK = {
 class Rack:
     """Model pockets with tools, a cone and a drawbar.
 
-    stuck: the drawbar does not move; lengths: where each tool touches the sensor.
+    stuck: the drawbar does not move; lengths: Z in mm at which each tool touches.
     """
 
     def __init__(self, shop: Shop) -> None:
@@ -1176,7 +1181,7 @@ def test_reset_at_any_time_of_a_change_drops_no_tool(shop: Make) -> None:
             yield from cnc.send("T2 M6")
             yield from cnc.send("T5 M6\n", "ms %d" % ms)
             yield from cnc.send("\x18", "banner")
-            rack.update_tool()
+            rack.update_tool()  # a reset switches outputs off without drive()
             assert not cnc.is_on("drawbar") and not cnc.rig.port.own_outputs
             yield cnc.rig.ms(700)  # until the motors have stopped and handlers have ended
             yield from cnc.send("$X")

@@ -61,7 +61,7 @@ def restore(m): m.set_length(12.5); heard.append(m.state)
 
 @pytest.mark.parametrize("leave", ["$C\n", "\x18"])
 def test_tool_length_is_restored_after_check_mode(bench: Make, leave: str) -> None:
-    """Check mode ends with a reset, which clears the length; on.after_reset sets it again."""
+    """M99 sets a length. Check mode ends with a reset, which clears it; a handler restores it."""
     cnc = bench(_LENGTH)
     replies = cnc.say(*lines("M99", "$C", "G1X1F500"), (leave, "ms 300"), *lines("$#", "G0X1"))
     assert tool_length_line(replies[4]) == "[TLO:12.500]" and replies[5] == ["ok"]
@@ -92,11 +92,11 @@ def select(m, tool): heard.append(tool)
 def tool(m): heard.append(m.tool)
 """
     )
-    module: Any = sys.modules
+    modules: Any = sys.modules
     in_check_mode: list[Any] = []
 
     def forget() -> None:
-        module[cnc._name].heard.clear()
+        modules[cnc._name].heard.clear()
 
     def note_heard() -> None:
         in_check_mode.extend(cnc.heard)
@@ -320,8 +320,8 @@ def test_true_is_stored_as_1(bench: Make) -> None:
 def test_damaged_stored_value_does_not_affect_others(bench: Make) -> None:
     """Of six stored lines two are sound. They are read, and the others are dropped at a write."""
     cnc = bench(_KEEP.format(name="'v'", value="2"))
-    damaged = ['["v", nan]', "5", '[["x"], 3]', '["u"', '["a", 8]', '["w", 9]']
-    cnc.rig.store.files["keep"] = damaged
+    stored = ['["v", nan]', "5", '[["x"], 3]', '["u"', '["a", 8]', '["w", 9]']
+    cnc.rig.store.files["keep"] = stored
     cnc.say(*lines("M102", "M102", "M101"), ("", "ms 50"))
     assert cnc.heard == [(8, None), (8, None)]
     assert cnc.rig.store.files["keep"] == ['["a", 8]', '["w", 9]', '["v", 2]']
@@ -483,7 +483,7 @@ keep.write()
 
 @needs_micropython
 def test_stored_values_can_be_read_back_by_micropython() -> None:
-    """Infinite numbers and names that are no text are refused; damaged lines are dropped."""
+    """NaN, infinity and names that are no text are refused; damaged lines are dropped."""
     assert run_micropython(_ON_MICROPYTHON, paths=[placed_firmware()]).splitlines() == [
         "m.keep: n is not finite",
         "m.keep: i is not finite",

@@ -141,9 +141,7 @@ class FaultyStore:
     ) -> None:
         """Start with the chip of _initial_flash(). fault_at 0: power never fails."""
         self.saves = 0
-        self.possible_counts = {
-            0
-        }  # counts that may be stored; after a power failure, the old or the new
+        self.possible_counts = {0}  # M102 may report: after a power failure, the old or the new
         self.has_failed = False  # power
         self._rig = rig
         self._monkeypatch = monkeypatch
@@ -168,12 +166,12 @@ class FaultyStore:
         self._store.save(name, kept)
         if name != "keep":
             return
-        count = {value for _, value in map(json.loads, kept)}  # a set with the one value
+        counts = {value for _, value in map(json.loads, kept)}  # a set with the one value
         self.saves += 1
         if self.saves != self._fault_at:
-            self.possible_counts = count
+            self.possible_counts = counts
             return
-        self.possible_counts |= count
+        self.possible_counts |= counts
         log = self._flash.log  # operations of this save: (address, bytes)
         complete = self._random.randrange(len(log))
         bytes_of_next = self._random.randrange(len(log[complete][1]) + 1)
@@ -222,22 +220,21 @@ class Session:
             self.rig, monkeypatch, 0 if self.inject else fault_at, self.random
         )
         self.sender = Sender(self.rig)
-        self.sender.allow(60_000)
+        self.sender.allow(60_000)  # ms for all waits
         self.calls = 0  # of methods of m by handlers
         self.is_injected = False
         self._all_sent = False  # all lines are played: nothing is injected any more
-        self._call = fault_at if self.inject else 0
+        self._call = fault_at if self.inject else 0  # number of the call with the fault; 0: none
         self.output: list[str] = []  # lines received
 
     def play(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        """Play from power-up to a last move after all others, and check all laws."""
+        """Run _script() with check_and_inject() in place of MachineApi.check_stopped()."""
 
         def check_and_inject(operator: MachineApi) -> None:
             """Count this call, and inject the fault if it is the chosen one."""
-            caller_file = sys._getframe(1).f_code.co_filename
-            if not self._all_sent and not caller_file.endswith(
-                "runner.py"
-            ):  # only calls of handlers count
+            # Calls by handlers count, not the one that runner.py makes after each handler.
+            is_by_runner = sys._getframe(1).f_code.co_filename.endswith("runner.py")
+            if not self._all_sent and not is_by_runner:
                 self.calls += 1
                 if self.calls == self._call and self.inject:
                     self.is_injected = True
@@ -314,6 +311,7 @@ class Session:
             assert messages, "a file that cannot be read"
 
     def _has_stopped(self) -> bool:
+        """Return whether an alarm or a reset has come; the first lines are the power-up's."""
         return any(text.startswith(("ALARM", "Grbl")) for text in self.output[3:])
 
     def _steps(self) -> "list[int]":
@@ -342,7 +340,7 @@ def board(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return made
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.sampled(1)  # the first ring runs one of the parts
 @pytest.mark.parametrize("part", range(_PARTS))
 def test_no_step_is_lost_and_every_fault_is_reported(
     board: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, part: int
@@ -357,7 +355,7 @@ def test_no_step_is_lost_and_every_fault_is_reported(
     assert faultless.calls > 100 and not any("ALARM" in line for line in faultless.output)
     assert faultless.store_with_fault.saves == 2  # one for each M100
     for number in range(part, _SESSIONS, _PARTS):
-        is_call = _KINDS[number % len(_KINDS)] is not None
+        is_call = _KINDS[number % len(_KINDS)] is not None  # else power fails in a save
         fault_at = Random(number).randint(
             1, faultless.calls if is_call else faultless.store_with_fault.saves
         )

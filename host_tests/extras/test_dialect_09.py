@@ -63,7 +63,7 @@ def converse(*talk: "tuple[str, str]", board: str = "sim_09j") -> "list[list[str
 
     def script() -> Iterator[Any]:
         """Wait for the welcome, then send each text and store its replies."""
-        sender.allow(600_000)  # ms
+        sender.allow(600_000)  # ms for all waits
         yield from sender.wait("banner", "")
         sender.take()
         for text, how in talk:
@@ -106,7 +106,7 @@ def test_default_board_loads_neither_dialects_nor_tools() -> None:
 
 
 def test_only_known_modules_mention_dialects() -> None:
-    """No other file of the firmware names a dialect or 0.9: the dialects are separate modules."""
+    """No other file of the firmware names a dialect (only its package, "dialects.") or 0.9."""
     naming = [
         path.relative_to(_FIRMWARE).as_posix()
         for path in sorted(_FIRMWARE.rglob("*.py"))

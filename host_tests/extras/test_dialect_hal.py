@@ -100,7 +100,7 @@ def test_gsender_connects(converse: Any) -> None:
     """The requests that gSender sends when it connects, each answer matched by its patterns."""
 
     def firmware(line: str) -> str:
-        """Return the firmware that a line names; the first one decides over A words."""
+        """Return the firmware that a line names, as gSender reads it; "": none."""
         for word in ("grblhal", "grbl", "fluidnc"):
             if word in line.lower():
                 return word
@@ -331,7 +331,10 @@ def test_byte_sent_as_utf_8_acts(converse: Any) -> None:
 
 @pytest.mark.parametrize("lines", ["G1X50F1200\nG1X60\n", "$1=255\nG1X50F1200\n", "$J=X50F1200\n"])
 def test_stop_ends_motion_and_keeps_the_position(lines: str, converse: Any) -> None:
-    """grblHAL's stop, 0x19, decelerates, then resets: no alarm, spindle off, idle."""
+    """grblHAL's stop, 0x19, decelerates, then resets: no alarm, spindle off, idle.
+
+    lines: two moves, a move after which the motors stay enabled ($1=255), a jog.
+    """
 
     def session(talk: Talk) -> Script:
         """Stop (0x19) after 0.5 s; the position is the same 0.5 s later."""
@@ -502,12 +505,12 @@ def test_network_client_gets_the_welcome_of_grblhal(monkeypatch: Any) -> None:
     bench.run(script)
 
 
-@pytest.mark.parametrize("by", ["cable", "key"])
+@pytest.mark.parametrize("by", ["cable", "client"])
 @pytest.mark.parametrize(("byte", "state"), [(b"\x19", "<Idle|"), (b"\x82", "<Hold:0|")])
 def test_stops_of_grblhal_act_during_anothers_control(
     monkeypatch: Any, by: str, byte: bytes, state: str
 ) -> None:
-    """byte: stop or hold, from the cable or another client with the key (by)."""
+    """byte: stop or hold; by: its source, the cable or a second client, on this computer."""
     bench = NetBench(monkeypatch, board=board(LINK="wifi"))
 
     def script(bench: Any) -> Iterator[Any]:

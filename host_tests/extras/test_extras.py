@@ -36,7 +36,7 @@ class Bench:
         vars(board).update(vars(load_board("sim")), EXTRAS=("mine",))
         self.rig = Rig(board, factory_store(load_board("sim")))
         self.sender = Sender(self.rig)
-        self.sender.allow(3_600_000)  # ms
+        self.sender.allow(3_600_000)  # ms for all waits
 
     def say(self, *talk: "tuple[str, str]") -> "list[list[str]]":
         """Power up and send texts, each given as (text, what to wait for: see Sender.wait());
@@ -209,7 +209,7 @@ def test_cycle_numbers_are_restored_after_a_with_statement(
 
         def deeper() -> None:
             with ModalState(cnc.machine, standard=False, blocks=[]):
-                cnc.machine.state.hooks.execute(bytearray(b"G86X0Z-9R1\0"), 10)
+                cnc.machine.state.hooks.execute(bytearray(b"G86X0Z-9R1\0"), 10)  # length
 
         cnc.add_cycle(86, bore)
         cnc.add_m(100, deeper)
@@ -221,14 +221,14 @@ def test_cycle_numbers_are_restored_after_a_with_statement(
 def test_polling_stops_while_a_reset_is_pending(monkeypatch: pytest.MonkeyPatch) -> None:
     """Functions of extras are called in the main loop (poll), but not between a reset's byte and
     its execution: they could start something that it would not end."""
-    due: list[int] = []  # whether a reset is pending, at each call
+    resets: list[int] = []  # at each call, whether a reset is pending
 
     def install(cnc: Cnc) -> None:
         state = cnc.machine.state
-        state.hooks.poll += (lambda: due.append(state.pending[st.RESET]),)
+        state.hooks.poll += (lambda: resets.append(state.pending[st.RESET]),)
 
     Bench(monkeypatch, install).say(("G1X9F99\n", "ms 500"), ("\x18", "banner"), ("?", "report"))
-    assert len(due) > 10 and not any(due)
+    assert len(resets) > 10 and not any(resets)
 
 
 def test_job_cannot_be_entered_in_the_middle_of_a_cycle(monkeypatch: pytest.MonkeyPatch) -> None:

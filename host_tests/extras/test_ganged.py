@@ -83,7 +83,7 @@ class Gantry(Machine):
         for motor, (pin, at) in enumerate(self.at.items()):
             if pin in self.rig.port.limit_names:
                 self.rig.engine.switches.append(Switch(pin, motor, True, at))
-        self.rig.port.update()
+        self.rig.port.update()  # reads the switches
 
     def output_after(self, *lines: str, at_ms: "tuple[tuple[int, str], ...]" = ()) -> "list[str]":
         """Play lines from power-up; return the whole output."""
@@ -134,7 +134,7 @@ def test_gantry_is_square_within_a_step_for_any_offset() -> None:
                     switch.above, switch.steps = False, -switch.steps
         output = gantry.output_after("$H")
         case = f"racked {racked}, $171={offset}, $25={seek}, $23={negative}: {output}"
-        assert not any("ALARM" in line for line in output[2:]), case
+        assert not any("ALARM" in line for line in output), case
         _, y, _, y2 = gantry.physical()
         further_steps = racked - round(offset * _STEPS_PER_MM)  # of the second motor
         assert abs(y2 - y - (-further_steps if negative else further_steps)) <= 1, case
@@ -150,9 +150,7 @@ def test_offset_moves_the_motor_that_must_be_further_away(offset: float) -> None
     gantry.output_after("$H", "G90 G53 G0 Y-4")
     _, y, _, y2 = gantry.physical()
     assert abs(y - y2 - offset * _STEPS_PER_MM) <= 1
-    target_steps = (
-        _SWITCH_STEPS - 4 * _STEPS_PER_MM
-    )  # of the motor that is not moved by the offset
+    target_steps = _SWITCH_STEPS - 4 * _STEPS_PER_MM  # of the motor nearer to its switch
     assert abs(max(y, y2) - target_steps) <= 1
 
 
@@ -187,7 +185,7 @@ def test_both_motors_home_as_one_without_a_second_switch() -> None:
     ids=["second dead", "first dead", "both dead", "racked too far"],
 )
 def test_missing_switch_is_an_alarm(switches: "dict[str, int]", alarm: str) -> None:
-    """One motor may search alone for 10 mm: 5 % ($347) of the travel of X, 200 mm ($130).
+    """One motor may search alone for 10 mm: 5 % ($347) of X's travel ($130), not of Y's ($131).
 
     Alarm 10: only one motor has found its switch; alarm 9: none.
     """
@@ -226,7 +224,7 @@ def test_offset_beyond_the_racking_limit_homes_repeatedly(offset: float) -> None
     """$171 is 6 mm, and the racking limit 5 mm (5 % of 100): a wanted offset is not racking."""
     gantry = Gantry(settings={171: offset, 130: 100})
     output = gantry.output_after("$H", "G91 G1 Y-2 F3000", "$H", "G1 Y-2", "$H")
-    assert not any("ALARM" in line for line in output[2:])
+    assert not any("ALARM" in line for line in output)
     _, y, _, y2 = gantry.physical()
     assert abs(y - y2 - offset * _STEPS_PER_MM) <= 1
 
@@ -259,7 +257,8 @@ def test_false_switch_signal_leaves_no_rack(ms: int) -> None:
 def test_racking_limit_is_a_setting(settings: "dict[int, float]", mm: float) -> None:
     """Y's second motor searches alone for so many mm.
 
-    It is $347 percent (5) of the travel of X ($130), at least $348 (2.5 mm), at most $349 (25 mm).
+    It is $347 percent (5) of the travel of X ($130), not of Y ($131); at least $348 (2.5 mm), at
+    most $349 (25 mm).
     """
     gantry = Gantry(settings={131: 60, **settings}, switches={"limit_y2": _DEAD})
     gantry.output_after("$H")
@@ -405,8 +404,8 @@ def test_second_motor_of_a_real_board_needs_no_switch(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "pins", "why"),
     [
-        ("DIR", (2, 6, 4), "DIR wants 4 pins, not 3"),
-        ("LIMIT", (36, 35, 34, 39, 33), "LIMIT wants 4 pins, not 5"),
+        ("DIR", (2, 6, 4), "DIR needs 4 pins, not 3"),
+        ("LIMIT", (36, 35, 34, 39, 33), "LIMIT needs 4 pins, not 5"),
     ],
 )
 def test_motors_on_shift_registers_are_counted(

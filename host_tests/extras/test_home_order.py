@@ -144,9 +144,9 @@ def test_settings_are_masks_of_axes() -> None:
 @pytest.mark.parametrize(
     ("words", "why"),
     [
-        (("XX",), "HOMING: X is no axis, or there twice"),
-        (("A",), "HOMING: A is no axis, or there twice"),
-        (("x",), "HOMING: x is no axis, or there twice"),
+        (("XX",), "HOMING: X is no axis, or named twice"),
+        (("A",), "HOMING: A is no axis, or named twice"),
+        (("x",), "HOMING: x is no axis, or named twice"),
         (("X",) * 7, "HOMING has 7 parts: there may be 6"),
     ],
 )

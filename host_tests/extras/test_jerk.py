@@ -86,8 +86,8 @@ class JerkBench(Bench):
         super().__init__(limits, blocks, tick_hz, segment_log2)
         self.jerk = tuple(jerk)
         hooks = self.state.hooks
-        # Jerk() wraps the function in this hook by its filter; the watch then records the segments
-        # that leave the filter.
+        # The watch records the segments of its _next, first unfiltered ones. Jerk() replaces the
+        # function in the hook by one that filters its segments: then the watch records those.
         hooks.next_segment = self.watch._next
         self.smoother = Jerk(self.planner, self.state)
         self.watch._next = hooks.next_segment
@@ -161,8 +161,9 @@ def largest_jerk(bench: "JerkBench") -> float:
     """Return the largest jerk on the path, as a ratio to the jerk that the axes allow.
 
     Jerk is the third difference of distance over windows of time. They are long enough that an
-    error of a tenth of a step changes the result by at most a tenth. The end of braking, within a
-    part of a step, may be harder: that change of speed is subtracted.
+    error of a tenth of a step changes the result by at most a tenth: the coefficients 1, 3, 3 and
+    1 add up to 8. The end of braking, within _END_PART of a step, may be harder: that change of
+    speed is subtracted.
     """
     course = Course(bench.watch)
     step_windows_s = [
@@ -272,8 +273,8 @@ def test_clearing_in_motion_leaves_nothing_in_the_filter(after: int) -> None:
     for each in (bench, fresh):
         each.planner.sync_motors(array("i", (0, 0, 0)))
         made_before = len(each.watch.made)
-        # Steps of the old motion leave nothing in the row.
-        each._row = array("i", [0] * layout.row_length(3))
+        # A new row for finish() to fill: nothing of the old motion is left in it.
+        each._row = array("i", [0] * layout.row_length(motors=3))
         zigzag(each)
         each.finish()
         each.rows = [segment.row for segment in each.watch.made[made_before:]]
@@ -302,9 +303,9 @@ def test_random_programs_keep_every_law(limits: Limits, jerk, program) -> None:
 def test_parking_moves_between_two_halves_of_a_block(segments_before: int) -> None:
     """A hold stops a block in its middle.
 
-    Two moves of the system (parking) follow, then its rest.
+    Two moves of the system (parking) follow, then the rest of the block.
     """
-    steps_per_mm, jerk_mm_s3 = 250, 20_000.0  # the first as in `fast`
+    steps_per_mm, jerk_mm_s3 = 250, 20_000.0  # steps_per_mm is that of `fast`
     is_executed = 2  # value of flow[SYSTEM]: see layout.py
     bench = JerkBench(fast, jerk=(jerk_mm_s3,) * 3)
     zigzag(bench)
@@ -318,7 +319,7 @@ def test_parking_moves_between_two_halves_of_a_block(segments_before: int) -> No
     bench.segments.begin_system()
     bench.segments.hold(False)
     for place_mm in ((1.0, 2.0, 3.0), (0.0, 0.0, 0.0)):
-        assert bench.planner.system_line(array("f", place_mm), move, 0, motors)
+        assert bench.planner.system_line(array("f", place_mm), move, power=0, start=motors)
         bench.finish()
         assert bench.planner.flow[layout.SYSTEM] == is_executed
         motors[:] = array("i", [round(steps_per_mm * mm) for mm in place_mm])
@@ -499,7 +500,6 @@ def test_short_lines_take_little_longer(program: Any, most: float) -> None:
     for jerk in (0.0, 20_000.0):
         bench = JerkBench(limits, jerk=(jerk,) * 3, blocks=64)
         program(bench)
-        bench.planner.catch_up()
         bench.check()
         last_segment = bench.watch.made[-1]
         durations_ticks.append(last_segment.start + last_segment.ticks)
@@ -531,9 +531,7 @@ def test_power_follows_the_speed_of_the_segments() -> None:
     bench.planner.table[layout.POWER_MAX] = 1000
     # 2400 mm/min are 40 mm/s.
     bench.line((6.0, 2.0, 0.0), 2400, DYNAMIC)
-    for at in range(bench.planner.flow[layout.ROW_SIZE]):
-        if at == layout.POWER:
-            bench.planner.ring[at] = 1000 << 6  # of the first row; in 1/64 of a level
+    bench.planner.ring[layout.POWER] = 1000 << 6  # of the first row; in 1/64 of a level
     bench.finish()
     pieces = [piece for piece in bench.watch.pieces if piece.segment]
     assert max(piece.segment.row[layout.ROW_POWER] for piece in pieces) == 1000
@@ -541,8 +539,8 @@ def test_power_follows_the_speed_of_the_segments() -> None:
         assert piece.segment.row[layout.ROW_POWER] == pytest.approx(piece.speed / 40 * 1000, abs=2)
 
 
-@pytest.mark.parametrize("left", range(0, 200, 7))
-def test_unused_rest_of_a_slot_does_not_lengthen_the_next(left: int) -> None:
+@pytest.mark.parametrize("unfilled_ticks", range(0, 200, 7))
+def test_unused_rest_of_a_slot_does_not_lengthen_the_next(unfilled_ticks: int) -> None:
     """The end of motion may leave a few ticks of a segment unfilled (here set by hand).
 
     Added to the next segment, they would be time that no ramp includes.
@@ -553,7 +551,7 @@ def test_unused_rest_of_a_slot_does_not_lengthen_the_next(left: int) -> None:
     bench.pull(9)  # segments: in motion
     bench.segments.hold(True)
     bench.finish()
-    bench.smoother._line[layout.TIME_TO_FILL] = left  # in ticks
+    bench.smoother._line[layout.TIME_TO_FILL] = unfilled_ticks
     bench.segments.hold(False)
     bench.check()
 
@@ -635,7 +633,7 @@ def test_limit_is_a_stored_setting_per_axis() -> None:
 @some(4)
 @given(machines, st.lists(blocks, min_size=4, max_size=16), events(harmless))
 def test_no_step_is_lost_by_holds_and_overrides(settings_, lines, bytes_) -> None:
-    """Settings, lines and real-time bytes are random; LIMITED has the jerk of each axis."""
+    """Settings, lines and real-time bytes without resets are random, with the jerk of LIMITED."""
     machine = Machine({**settings_, **LIMITED}, board())
     machine.play(["G21G91F500", *lines], bytes_)
     check_segments(machine.watch)
@@ -673,7 +671,9 @@ def test_homing_ends_at_the_same_place_as_without_the_limit() -> None:
         machine = Machine({**settings, **limited}, board())
         for axis, pin in enumerate(("limit_x", "limit_y", "limit_z")):
             # Each switch closes at 500, 700 or 900 steps.
-            machine.rig.engine.switches.append(Switch(pin, axis, True, 500 + 200 * axis, 0))
+            machine.rig.engine.switches.append(
+                Switch(pin, axis, above=True, steps=500 + 200 * axis)
+            )
         # After motion, homing must find the same positions again.
         machine.play(["$H", "G91G1X-2Y-1F800", "$H", "G1X-1F500"])
         positions.append((machine.reported(), machine.physical()))
@@ -689,7 +689,7 @@ def test_probe_stops_later_by_the_lag_and_the_next_line_is_complete() -> None:
     positions_steps = []
     for limited in ({}, LIMITED):
         machine = Machine({110: 3000.0, 120: 200.0, **limited}, board())
-        machine.rig.engine.switches.append(Switch("probe", 0, True, 700, 0))
+        machine.rig.engine.switches.append(Switch("probe", axis=0, above=True, steps=700))
         machine.play(["G91", "G38.2X10F600", "G1X2F900", "G1Y1"])
         assert "[PRB:2.800,0.000,0.000:1]" in machine.received  # 700 steps at 250 steps/mm
         check_position(machine)

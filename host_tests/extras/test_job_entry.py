@@ -4,6 +4,7 @@ UGRBL_ENTRIES=1000 tries this number of lines, instead of a few.
 
 $F=NAME@LINE starts a job in its middle: the lines before are only read, for their modes and
 offsets. Bench.run() returns the output, Bench.moves_from(line) the recorded moves from a line on.
+FAST and HOMED are settings, and $H; with_switches() adds the limit switches that $H needs.
 """
 
 import json
@@ -14,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from control.modes import MODAL_LENGTH
 from language.block_layout import MOVE
 from motion.arc_geometry import TOLERANCE
 from test_jobs import FAST, HOMED, Bench, say, until_job_ends, with_switches
@@ -50,7 +52,12 @@ class RecordingBench(Bench):
             """Append the line in the job, and the arguments with modes and offsets, to the log."""
             number = link.line() + 1 if link.is_on else 0  # 0: not from a job
             arguments = tuple(target), move.flags, move.feed, move.spindle_rpm, arc_arguments
-            modal = tuple(modes.modal[:11]), tuple(modes.rates), modes.tool, tuple(modes.position)
+            modal = (
+                tuple(modes.modal[:MODAL_LENGTH]),
+                tuple(modes.rates),
+                modes.tool,
+                tuple(modes.position),
+            )
             offsets = coords.active, tuple(coords.g92), coords.tool_length
             self.log.append((number, (arguments, modal, offsets)))
 

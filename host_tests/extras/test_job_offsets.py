@@ -2,7 +2,8 @@
 
 $F=NAME@LINE starts a job at this line, and $F=@ at the stored line of a stopped job. Bench.run()
 returns the machine's output; Bench.moves_from(line) has the moves from a line of the job on, and
-Bench.moves their targets in mm. FAST and HOMED are settings, and $H.
+Bench.moves their targets in mm. FAST and HOMED are settings, and $H, which ends at -5 mm of each
+axis.
 """
 
 from collections.abc import Iterator, Sequence
@@ -67,9 +68,8 @@ def test_entry_starts_with_the_offsets_written_by_the_lines_before_it(
     for line in (3, 5, 7):
         store = MemoryStore()
         store.files.update(whole.store.files)
-        part = with_switches(
-            Bench(tmp_path, store)
-        )  # its store has the last values of the program
+        # Its store has the last values of the program.
+        part = with_switches(Bench(tmp_path, store))
         output = part.run(until_job_ends(*HOMED, f"$F=A.NC@{line}"))
         assert output[-1] == f"[MSG:Job A.NC: done, {len(program)} lines]"
         assert part.moves_from(line) == whole.moves_from(line), line
@@ -114,7 +114,7 @@ def test_entry_before_offsets_written_by_a_job_restores_the_old_ones(tmp_path: P
 def test_entry_after_a_power_cut_uses_the_offsets_written_by_the_job(tmp_path: Path) -> None:
     """The end of run() cuts the power in the slow line, after G10.
 
-    The entry is before G10 (see the assertion). Z is at -5, its pull-off.
+    The entry is before G10 (see the assertion).
     """
     first = with_switches(Bench(tmp_path))
     first.put("A.NC", "G90", "G1 X-8 F1200", "G1 Y-8", "G10 L2 P1 X-5", SLOW)

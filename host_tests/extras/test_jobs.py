@@ -4,7 +4,8 @@ $F=NAME starts a job, and $F=NAME@LINE at a line within it; $F=@ at the line whe
 stopped. Bench.run() runs the machine with a script from power-up to its end, and returns the
 output. say() is a script that sends lines, and then lets wait_s pass. Bench.moves are the planned
 targets in mm, Bench.steps the motors' final steps (250 per mm), and Bench.job_record() is the
-stored record of a job: its name, its line, and more.
+stored record of a job: its name, its line, and more. sender.wait(how, text) sends a text and
+waits: "ok" until each of its lines is answered, "banner" until the welcome.
 """
 
 import random
@@ -45,7 +46,7 @@ class Bench:
         self.store = store or factory_store(load_board("sim"))
         self.rig = Rig(board, self.store)
         self.sender = Sender(self.rig)
-        self.sender.allow(36_000_000)
+        self.sender.allow(36_000_000)  # ms; then waits fail
         self.steps: list[int] = []  # at the end
         self.moves: list[tuple[float, ...]] = []  # planned targets
         self.log: list[tuple[int, Any]] = []  # arguments of all moves, by lines of the job
@@ -195,6 +196,7 @@ def test_jobs_are_listed_shown_and_deleted(tmp_path: Path) -> None:
     bench.put(".hidden", "G0X9")
     output = bench.run(say("$F", "$F<=A.NC", "$FD=A.NC", "$F", wait_s=0))
     files = ["[FILE:/B.NC|SIZE:5]", "[FILE:/a.nc|SIZE:10]"]
+    # A shown file has its own line ends, which do not split the output.
     answers = [line for line in output if not line.startswith("[MSG:Free space: ")]
     assert answers == [*files, "ok", "G0X2\nG0X3\n", "ok", "ok", files[0], "ok"]
 
@@ -257,7 +259,7 @@ class Torn:
 def test_half_a_line_is_not_executed_if_the_rest_cannot_be_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The first block of the file ends within the number of Z15.
+    """Only the first block of the file can be read, and it ends within the number of Z15.
 
     If its half were executed, Z would move to 1.
     """
@@ -333,7 +335,7 @@ def test_sender_gets_the_progress_and_its_lines_are_refused(tmp_path: Path) -> N
         yield bench.rig.ms(1000)  # the job runs
         bench.sender.take()
         yield from bench.sender.wait("report", "?")
-        assert "|SD:100.0,/A.NC>" in bench.sender.lines[0]  # all lines are in the ring
+        assert "|SD:100.0,/A.NC>" in bench.sender.lines[0]  # the whole file is read
         bench.sender.take()
         # The six lines, of which one is empty, have six answers.
         yield from bench.sender.wait("ok", "$G\n\n$N\nG0X99\n$J=G91X1F100\n$110=5\n")
@@ -342,7 +344,7 @@ def test_sender_gets_the_progress_and_its_lines_are_refused(tmp_path: Path) -> N
         assert answers[1:3] == ["ok", "ok"]
         # After the lines of $N: its ok, and the answers to G0, $J and $110.
         assert answers[3:] == ["$N0=", "$N1=", "ok", "error:9", "error:8", "error:8"]
-        bench.rig.link.send(b"G1 X")  # continues after the job
+        bench.rig.link.send(b"G1 X")  # the rest of the line follows after the job
         yield bench.rig.ms(9000)  # the job ends
         yield from bench.sender.wait("ok", "7F600\n")
         yield bench.rig.ms(3000)  # until 7 mm are moved
@@ -814,7 +816,7 @@ def test_client_that_opens_the_port_in_a_dwell_is_welcomed_and_the_job_continues
 def test_refused_entry_restores_modes_and_offsets_and_leaves_the_tool_off(
     tmp_path: Path,
 ) -> None:
-    """Reading the lines before the entry changes modes and offsets; G5 is refused.
+    """Reading the lines before the entry changes modes and offsets, until G5 (line 4) is refused.
 
     All are as before the start then, but the tool is off.
     """

@@ -40,9 +40,9 @@ def make_spindle(most: float, least: float, full: int) -> Spindle:
     """Return a spindle with these $30 and $31, on a port with `full` steps of power."""
     port = FakePort()
     port.pwm_max = full
-    spindle = Spindle(port, State(), False)
+    spindle = Spindle(port, State(), enable_by_direction=False)
     settings: Any = SimpleNamespace(max_rpm=most, min_rpm=least, laser_mode=0)
-    spindle.configure(settings, array("i", [0] * layout.table_length(3, 3)))
+    spindle.configure(settings, array("i", [0] * layout.table_length(axes=3, motors=3)))
     return spindle
 
 
@@ -80,7 +80,7 @@ def grbl_power(
     """
     span = to_single(most - least)
     gradient = to_single((full - 1) / span) if span > 0 else 0.0
-    if gradient * most >= 1 << 23:
+    if gradient * most >= 1 << 23:  # not in Grbl: 64 times the power has up to 30 bits
         gradient = 0.0
     rpm = to_single(rpm * to_single(to_single(0.01) * percent))
     if flags & layout.DYNAMIC:
@@ -198,7 +198,7 @@ def test_laser_given_back_by_the_end_of_a_hold_is_no_change_to_report(
         """Turn the tool on, hold, resume; ask for three reports after each."""
         yield from bench.say(spindle + "S600\n", "ok")
         # A spindle in hold does not stop by itself: without laser mode, 0x9e stops it.
-        for sent in ("!", "\x9e" * (not laser), resumed_by):
+        for sent in ("!", "" if laser else "\x9e", resumed_by):
             yield from bench.say(sent, "ms 50")
             for _ in range(3):  # WCO: comes first
                 reports.append((yield from bench.say("?", "report"))[0])

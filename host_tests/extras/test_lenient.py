@@ -1,7 +1,8 @@
 """Test LENIENT: words of other controllers are ignored, replaced or refused.
 
 Bench.say() sends lines and returns the replies to each of them. Bench.moves are the planned moves:
-"rapid" or the feed, then X, Y and Z in mm. Errors have the numbers of Grbl.
+"rapid" or the feed, then X, Y and Z in mm. Errors have the numbers of Grbl. A line of places has
+only coordinates: while a drilling cycle is active, it drills there.
 """
 
 import json
@@ -46,7 +47,7 @@ class Bench:
         self.rig = Rig(board, factory_store(load_board("sim")))
         self.rig.on_built = self._listen
         self.sender = Sender(self.rig)
-        self.sender.allow(36_000_000)
+        self.sender.allow(36_000_000)  # ms; then waits fail
         self.moves: list[Move] = []
 
     def _listen(self) -> None:
@@ -406,7 +407,7 @@ HOLE = "G81 X5 Y5 Z-2 R2 F600"
     ("line", "error"),
     [
         ("G20 X1", 28),  # R and Z were mm
-        ("G91 X1", 28),  # and places
+        ("G91 X1", 28),  # and absolute
         ("G18 X6 Y-3", 28),
         ("G53 Z-1", 30),
         ("X6 Q1", 36),
@@ -543,7 +544,7 @@ def test_words_of_extras_have_precedence(monkeypatch: pytest.MonkeyPatch) -> Non
     calls: list[Any] = []
 
     def install(cnc: Cnc) -> None:
-        cnc.add_m(6, calls.append, "t")
+        cnc.add_m(6, calls.append, "t")  # lower case: T may be missing
         cnc.add_g(81, lambda x: calls.append(("hole", x)), "X")
         cnc.add_m(100, calls.append, "X")
 
@@ -555,8 +556,8 @@ def test_words_of_extras_have_precedence(monkeypatch: pytest.MonkeyPatch) -> Non
     assert [replies[-1] for replies in all_replies] == [
         "ok",
         "ok",
-        "error:36",
-        "error:21",
+        "error:36",  # the extra's G81 does not use Y
+        "error:21",  # an extra's word has no other G or M word on its line
         "ok",
         "ok",
         "ok",
@@ -579,7 +580,7 @@ def test_lines_of_handlers_are_not_part_of_a_cycle(monkeypatch: pytest.MonkeyPat
 
         def lower() -> None:
             for text in (b"G53G0Z-1\0", b"G53G0Z20\0"):
-                hooks.execute(bytearray(text), len(text) - 1)
+                hooks.execute(bytearray(text), len(text) - 1)  # the length without the 0
 
         def refuse(_tool: float) -> None:
             raise GrblError(errors.NEGATIVE_VALUE)
@@ -590,6 +591,7 @@ def test_lines_of_handlers_are_not_part_of_a_cycle(monkeypatch: pytest.MonkeyPat
     bench = with_extra(install, monkeypatch)
     all_replies = bench.say(*TO_START, HOLE, "M100", "X7", "G43 H1", "G0 G43 H1 Z5")
     assert [move[1:] for move in bench.moves[-4:]] == [(7, 5, z) for z in (20, 2, -2, 10)]
+    # The G43 of the extra does not use Z.
     assert [replies[-1] for replies in all_replies[-2:]] == ["error:4", "error:36"]
 
 
@@ -617,7 +619,7 @@ def test_holes_begin_at_the_position_left_by_a_handler(monkeypatch: pytest.Monke
         def execute(line: bytearray, length: int) -> None:
             call_execute(line, length)
             if line[:2] == b"T4":
-                call_execute(bytearray(b"G53G0Z-2\0"), 8)
+                call_execute(bytearray(b"G53G0Z-2\0"), len("G53G0Z-2"))
 
         hooks.execute = execute
 
@@ -649,7 +651,7 @@ def run_totals(lines: "Sequence[str]", board: str) -> "dict[str, Any]":
 def test_lines_of_places_drill_on_the_fast_path(board: str) -> None:
     """Lines with only places (X… Y…) are moves for the firmware's fastest code.
 
-    While a cycle is active they must be holes.
+    While a cycle is active they must be holes: the same as moves on a board that is not lenient.
     """
     places = [f"X{k} Y{k % 7}" for k in range(6, 40)]
     program = ["G0 Z10", "G81 X5 Y5 Z-2 R2 F600", *places, "G80", "G0 X1", "X2", "M2"]

@@ -3,6 +3,10 @@
 The machines are the two examples: a SCARA (two arms, joints in degrees) and a polar plotter (an
 arm in mm, a table in degrees). Machine.physical() returns the steps of the motors,
 Machine.reported() the last reported position of the tool, Machine.received all output.
+Machine.rest() resumes holds, waits until motion has ended, and asks for a report.
+sender.wait("idle", text, settle=1) sends a text and waits for its answers, the end of motion, and
+1 ms of silence. With $12=0.002 (arc tolerance, mm) a line has more chords than 8 planner blocks
+hold.
 """
 
 import math
@@ -119,15 +123,14 @@ def step_mm(kind: str, steps: Sequence[int]) -> float:
     return total
 
 
-def from_line(at: Place, start_position: Place, end: Place) -> float:
+def from_line(at: Place, start: Place, end: Place) -> float:
     """Return the distance of a place to a straight line with ends, in mm."""
-    vector = [b - a for a, b in zip(start_position, end, strict=True)]
+    vector = [b - a for a, b in zip(start, end, strict=True)]
     length_sqr = sum(w * w for w in vector)
-    part = sum((p - a) * w for p, a, w in zip(at, start_position, vector, strict=True)) / (
-        length_sqr or 1.0
-    )
+    part = sum((p - a) * w for p, a, w in zip(at, start, vector, strict=True))
+    part /= length_sqr or 1.0
     part = min(max(part, 0.0), 1.0)
-    return math.dist(at, [a + part * w for a, w in zip(start_position, vector, strict=True)])
+    return math.dist(at, [a + part * w for a, w in zip(start, vector, strict=True)])
 
 
 def largest_deviation(cnc: Machine, kind: str, distance: "Callable[[Place], float]") -> float:
@@ -149,7 +152,7 @@ def start_position(kind: str) -> Place:
 
 
 def random_places(kind: str, seed: int, count: int) -> "list[Place]":
-    """Return count + 1 places from begin() on; all straight lines between them are in reach."""
+    """Return count + 1 places from start_position() on; the lines between them are in reach."""
     rng = random.Random(seed)
     model = geometry(kind)
     places = [start_position(kind)]
@@ -160,7 +163,7 @@ def random_places(kind: str, seed: int, count: int) -> "list[Place]":
         end = (round(end[0], 3), round(end[1], 3), round(rng.uniform(-20, 0), 3))
         axes = zip(places[-1], end, strict=True)
         begins_and_lengths = [(a, b - a) for a, b in axes]
-        # 51 points of the line are in reach.
+        # 51 points of the line are in reach: for others, inverse() returns False.
         if all(
             model.inverse([a + w * part / 50 for a, w in begins_and_lengths], list(model.START))
             for part in range(51)
@@ -490,7 +493,7 @@ def test_homing_moves_joints_to_their_switches_and_sets_the_tools_position(kind:
     pull_off = {"scara": 5.0, "polar": 2.0}[kind]  # $27 of the example boards
     at_upper_end = [True, kind == "polar", True]  # of the range of each joint
     for i, letter in enumerate("xyz"):
-        # Without HOME the switch defines the place.
+        # A joint that starts at HOME begins 9 units away; its switch defines the place.
         distance = model.HOME[i] - model.START[i] or 9.0
         cnc.rig.engine.switches.append(
             Switch(f"limit_{letter}", i, at_upper_end[i], round(distance * _FINE))
@@ -574,8 +577,8 @@ def test_examples_are_boards_that_can_be_built(name: str) -> None:
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({"COREXY": True}, "KINEMATICS and COREXY are not for the same machine"),
-        ({"JERK": True}, "KINEMATICS and JERK are not for the same machine"),
+        ({"COREXY": True}, "KINEMATICS and COREXY cannot be combined"),
+        ({"JERK": True}, "KINEMATICS and JERK cannot be combined"),
         ({"STEP": (0, 1, 2, 3)}, "KINEMATICS: START has 3 numbers, but STEP has 4 pins"),
         ({"KINEMATICS": "random"}, "KINEMATICS: random.py has no inverse"),
     ],

@@ -3,9 +3,11 @@
 The simulated machine checks this: it raises BrokenLaw at any step made while the punch is not
 fully up, and at a stroke that begins during motion.
 
-Bench.lines() sends lines that must be answered with ok, Bench.wait_ms(ms) lets time pass and
-returns the output. Bench.port is the simulated punch: its place() is from 0 (up) to 1 (down),
-`dead` is a mask of sensors that never respond, and if it is `stuck`, it does not move.
+Bench.lines() sends lines that must be answered with ok. Bench.say(text, how) sends a text, waits
+until motion has ended or as `how` says, and returns the output. Bench.wait_ms(ms) lets time pass
+and returns the output. start_stroke() arms the punch, sends G0X1 and G0X2, and returns in the
+middle of the first stroke. Bench.port is the simulated punch: its place() is from 0 (up) to 1
+(down), `dead` is a mask of sensors that never respond, and if it is `stuck`, it does not move.
 M3 and M4 arm the punch, M5 disarms it. A silent lower sensor is ALARM:32, an upper one ALARM:33.
 """
 
@@ -56,10 +58,10 @@ class Bench:
         self.rig = Rig(module, store)
         self.port: Any = self.rig.port
         self.sender = Sender(self.rig)
-        self.sender.allow(3_600_000)
+        self.sender.allow(3_600_000)  # ms; then waits fail
 
     def run(self, script: "Iterator[Any]") -> None:
-        """Run a script; its exceptions are raised here."""
+        """Run a script, and raise its exception here: the firmware would catch it."""
         failed: list[BaseException] = []
 
         def guarded() -> Iterator[Any]:
@@ -248,7 +250,7 @@ def test_nothing_moves_without_the_upper_sensor(fault: str) -> None:
         yield from bench.lines("M3")
         bench.rig.link.send(b"G0X1\n")
         yield from bench.until(lambda: bench.port.place() == DOWN)
-        setattr(bench.port, fault, SENSOR_UP)
+        setattr(bench.port, fault, SENSOR_UP)  # for `stuck`, it only counts as True
         output = yield from bench.wait_ms(2500)
         # Once for the line, and once more before the welcome.
         assert output[:3] == [*_NOT_UP, "ok"] and output.count("ALARM:33") == 2
@@ -490,6 +492,7 @@ def test_simulated_machine_detects_motion_with_the_punch_down() -> None:
         """Remove the punch's hooks, put it down, and send a move."""
         hooks = bench.rig.controller.state.hooks
         hooks.may_start = hooks.started = ()  # the hooks of the punch
+        # Down from now on, unseen by the firmware, and not to be raised.
         bench.port.dead = SENSOR_UP
         bench.port._position, bench.port._up_until = DOWN, bench.rig.now
         bench.port.stuck = True
@@ -588,7 +591,7 @@ def test_demonstration_punches_its_pattern(board: str) -> None:
 @pytest.mark.thorough
 def test_holes_are_drawn(tmp_path: Path) -> None:
     """A picture with 131 holes has more than 10 kB."""
-    job = run_job("as it is", read_lines(_PROGRAM), [], "sim_punch")
+    job = run_job("as it is", read_lines(_PROGRAM), settings=[], board="sim_punch")
     assert len(job.marks) == 131
     for suffix in (".png", ".html"):
         plot.save([job], "punch", "", tmp_path / f"punch{suffix}")

@@ -45,7 +45,7 @@ class Machine(Rig):
         return int(self.now / self.ticks_per_ms)
 
     def talk(self, *lines: str, until: str = "ok") -> str:
-        """Send lines, each after the answer to the one before; return the whole output."""
+        """Send lines; wait for the text `until` in the output after each; return all output."""
 
         def script() -> "Iterator[Any]":
             """Wait for the welcome; send each line after the answer to the one before."""
@@ -67,7 +67,8 @@ def rig(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Mach
     if request.param == "pio":
         monkeypatch.setattr(gpio, "_is_rp2350", lambda: False)
         monkeypatch.setattr(machine.Pin, "pins", {})
-        # Patch the module that the class is from, because other tests may have loaded another one.
+        # Machine() replaces `time` in the module of the class, which other tests may have loaded
+        # once more. Set here too, it is restored after the test.
         monkeypatch.setitem(gpio.GpioPort.ticks_ms.__globals__, "time", None)
         monkeypatch.setattr(gpio, "time", SimpleNamespace(sleep_us=lambda us: None))
         return Machine(gpio.GpioPort, machine.Pin)

@@ -15,6 +15,7 @@ from extras.custom.positions import ModalState
 from hypothesis import given
 from hypothesis import strategies as st
 from language.block_layout import MOVE
+from motion.layout import ROW_TICKS
 from rig_bench import Machine
 from typer.testing import CliRunner
 from ugrbl.boardfile import board_check
@@ -63,7 +64,7 @@ def motion_seconds(machine: Machine) -> float:
     engine = machine.rig.engine
     first = machine.rows[0][0]
     start, row = machine.rows[-1]
-    return float(start + row[0] - first) / engine.tick_hz
+    return float(start + row[ROW_TICKS] - first) / engine.tick_hz
 
 
 def motor_positions(machine: Machine) -> "list[float]":
@@ -267,15 +268,16 @@ def test_axis_without_travel_turns_without_limit_and_others_do_not() -> None:
 
 
 def test_work_position_stays_if_axis_is_unwound_in_saved_block() -> None:
-    """A is near the end of exact numbers, so that the line in m.saved() unwinds it by whole turns.
-    G92 is restored by the block, less these turns."""
+    """A is near 2**24 steps, up to which floats are exact: the line in m.saved(), here the block
+    of a ModalState, unwinds it by whole turns. G92 is restored by the block, less these turns."""
     machine = Machine({**_SWIFT, 133: 0}, board())
     steps = array("i", (0, 0, 0, 16_770_000))
     block: "list[ModalState]" = []
 
     def answered(line: str, _: "list[str]") -> None:
+        """Set A's steps, begin the block, or check and end it; called after each line."""
         controller: Any = machine.rig.controller
-        if line == "$X":  # A is at 67080 degrees
+        if line == "$X":  # A is at 67080 degrees from here on
             controller.engine.set_position(steps)
             controller.resync()
         elif line == "G92A90":
@@ -347,7 +349,7 @@ def test_failed_homing_leaves_travel_unchanged() -> None:
 
 @pytest.mark.parametrize("word", ["X", "B", "AA", "a"])
 def test_impossible_rotary_axis_is_reported(word: str) -> None:
-    why = f"ROTARY: {word[-1]} is none of A, B, C here, or there twice"
+    why = f"ROTARY: {word[-1]} is no rotary axis here, or named twice"
     assert board_check.problems(board(ROTARY=word)) == [why]
 
 

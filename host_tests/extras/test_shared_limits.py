@@ -2,7 +2,8 @@
 
 LIMIT has the pin of each axis; axes with the same pin share an input. Machine.physical() returns
 the steps of the motors, Machine.reported() the last reported position. Machine.play(lines, events)
-also sends real-time bytes at their ms.
+also sends real-time bytes at their ms. Machine.rest() resumes holds, waits until motion has ended,
+and asks for a report.
 """
 
 from types import ModuleType
@@ -82,9 +83,8 @@ def test_axes_are_homed_one_by_one_to_their_own_switches(
     cnc = machine(limits=limits)
     cnc.play(["$H"])
     assert cnc.reported() == [-1, -1, -1]
-    assert cnc.physical() == pytest.approx(
-        [_SWITCH_STEPS - 250] * 3, abs=10
-    )  # after a pull-off of 1 mm
+    # After a pull-off of 1 mm.
+    assert cnc.physical() == pytest.approx([_SWITCH_STEPS - 250] * 3, abs=10)
 
 
 def test_z_may_share_with_an_axis_homed_after_it_in_grbls_order() -> None:
@@ -111,7 +111,7 @@ def test_homing_does_not_start_with_a_closed_switch(axis: int) -> None:
 def test_cycle_of_two_axes_that_share_is_refused() -> None:
     """$44 to $49 are the axes (bits) of each homing cycle.
 
-    A cycle of X and Y (3) is not accepted, nor are none at all, which mean the order of Grbl.
+    A cycle of X and Y (3) cannot be set. Without cycles, in Grbl's order, $H is refused.
     """
     cnc = machine()
     cnc.play(["$44=3", "$45=1", "$46=0"])
@@ -140,9 +140,7 @@ def test_position_stays_right_after_a_reset_at_any_time_of_homing() -> None:
             cnc.rig.link.send(b"\x18")
             yield from cnc.rest()
             steps_after_reset.append(cnc.physical())
-            if any(
-                steps >= _SWITCH_STEPS for steps in steps_after_reset[0]
-            ):  # it stands on a switch
+            if any(steps >= _SWITCH_STEPS for steps in steps_after_reset[0]):
                 return
             cnc.take()
             yield from cnc.sender.wait("idle", "$H\n", settle=1)
@@ -196,8 +194,7 @@ def test_impossible_homing_is_named_by_board_check(
     """In this board, X and Y share pin 9. An empty text: no problem is found."""
     module = ModuleType("board")
     base = load_board("rpi_pico")
-    free_pins = {"FLOOD": None, "SPINDLE_ON": None, "MIST_PIN": None}
-    vars(module).update({**vars(base), **free_pins, "LIMIT": (9, 9, 11), **changes})
+    vars(module).update({**vars(base), "LIMIT": (9, 9, 11), **changes})
     found_problems = list(board_check.problems(module))
     assert (
         any(expected in problem for problem in found_problems)

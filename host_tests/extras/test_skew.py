@@ -3,13 +3,16 @@
 A skewed machine's axes are not at right angles. $780 to $782 are the skew of XY, XZ and YZ, in mm
 per m. Machine.physical() returns the steps of the motors, Machine.reported() the last reported
 position of the tool. tool_position() computes the tool's position from motor steps.
+Machine.rest() resumes holds, waits until motion has ended, and asks for a report.
+sender.wait("idle", text, settle=1) sends a text and waits for its answers, the end of motion, and
+1 ms of silence.
 """
 
 import sys
 from array import array
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
-from math import atan2, hypot
+from math import atan2, hypot, tau
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -118,33 +121,33 @@ def test_tool_is_on_target_and_reports_match_a_square_machine(
     cnc.play(program)
     square = Machine(_FAST, "sim")
     square.play(program)
-    assert cnc.received[-2:] == square.received[-2:]
+    assert cnc.received[-2:] == square.received[-2:]  # the last answer and the report
     for tool_mm, target_tenths, allowed_mm in zip(
         tool_position(cnc.physical(), skew), lines[-1], tolerance_mm(skew), strict=True
     ):
         assert abs(tool_mm - target_tenths / 10) <= allowed_mm
 
 
-@given(st.lists(st.integers(-(2**24), 2**24), min_size=9, max_size=9), skews)
+@given(st.lists(st.integers(-(2**24), 2**24), min_size=6, max_size=6), skews)
 def test_inverse_is_exact_for_any_numbers(numbers: "list[int]", skew: "tuple[float, ...]") -> None:
     """axis_steps() is the exact inverse of to_motors(), which works in the planner's table.
 
-    Numbers 0 to 2 are axis steps, and 6 to 8 the motor steps at homing.
+    Numbers 0 to 2 are axis steps, and 3 to 5 the motor steps at homing.
     """
-    kinematics = SkewKinematics(3, [1, 2, 4], 0)  # a motor for each of X, Y, Z (bits)
+    kinematics = SkewKinematics(axes=3, moves=[1, 2, 4], alone=0)  # moves: X, Y and Z
     kinematics.set_factors([mm / 1000 for mm in skew])
     for axis in range(3):
-        kinematics.note_homed(array("i", numbers[6:]), axis)
-    table = array("i", bytes(4 * (LIMITS + TARGET * 3 + 6)))
+        kinematics.note_homed(array("i", numbers[3:]), axis)
+    targets_at = LIMITS + TARGET * 3
+    table = array("i", [0] * (targets_at + 6))  # up to targets and positions
     table[AXES] = 3
-    first_axis = LIMITS + TARGET * 3
     for i in range(3):
-        table[first_axis + i] = _BIAS + numbers[i]
+        table[targets_at + i] = _BIAS + numbers[i]
     skew_kernel.to_motors(table, kinematics.skew)
-    motors = array("i", (table[first_axis + i] - _BIAS for i in range(3)))
+    motors = array("i", (table[targets_at + i] - _BIAS for i in range(3)))
     assert [kinematics.axis_steps(motors, axis) for axis in range(3)] == numbers[:3]
     # It also inverts the shear, to half a step and the accumulated rounding.
-    from_homed = [motors[i] - numbers[6 + i] for i in range(3)]
+    from_homed = [motors[i] - numbers[3 + i] for i in range(3)]
     xy, xz, yz = [mm / 1000 for mm in skew]
     assert numbers[1] - motors[1] == pytest.approx(yz * from_homed[2], abs=0.54, rel=1e-7)
     shear_steps = xy * from_homed[1] + xz * from_homed[2]
@@ -175,7 +178,7 @@ def test_tool_stays_on_an_arc(plane: str) -> None:
     arc = {"G17": "G2X0Y0I20J0Z3", "G18": "G2X0Z0I20K0Y3", "G19": "G2Y0Z0J20K0X3"}[plane]
     cnc.play([plane, f"{arc}F4000"])
     first, second, helix_axis = {"G17": (0, 1, 2), "G18": (0, 2, 1), "G19": (1, 2, 0)}[plane]
-    allowed_mm = 0.002 + 2 * hypot(*tolerance_mm(_LEANING))
+    allowed_mm = 0.002 + 2 * hypot(*tolerance_mm(_LEANING))  # 0.002: the arc tolerance
     turned_rad, last_angle = 0.0, None
     for motors in motor_positions(cnc):
         position = tool_position(motors)
@@ -183,16 +186,15 @@ def test_tool_stays_on_an_arc(plane: str) -> None:
         angle = atan2(position[second], position[first] - 20)
         if last_angle is not None:
             step = angle - last_angle
-            turned_rad += step - 6.283185307179586 * round(step / 6.283185307179586)  # by 2 pi
+            turned_rad += step - tau * round(step / tau)
         last_angle = angle
-        assert position[helix_axis] == pytest.approx(
-            3 * abs(turned_rad) / 6.283185307179586, abs=3 * allowed_mm
-        )
-    assert abs(turned_rad) == pytest.approx(6.2832, abs=0.001)
+        helix_mm = 3 * abs(turned_rad) / tau
+        assert position[helix_axis] == pytest.approx(helix_mm, abs=3 * allowed_mm)
+    assert abs(turned_rad) == pytest.approx(tau, abs=0.001)
     assert cnc.reported()[helix_axis] == 3
 
 
-def test_line_is_one_block_and_kernels_match_the_interpreter() -> None:
+def test_kernels_match_the_interpreter() -> None:
     """The fastest code (kernels) and the interpreter end at the same place.
 
     After watch(MOVE) the interpreter handles all moves.
@@ -279,8 +281,8 @@ def test_conversations_match_a_square_machine_to_the_byte(lines: "list[str]") ->
 def test_position_is_right_after_a_stop_anywhere(byte: str) -> None:
     """Holds, resets, jog cancels and doors stop an arc or a jog after some ms.
 
-    The report must have the place of the tool then, and after one more move the motors are where
-    that move leads alone.
+    The report must have the place of the tool then, and one more move must end with the same motor
+    steps as that move alone.
     """
     undisturbed = make_machine()
     undisturbed.play(["G0X7Y-6Z5"])
@@ -342,12 +344,10 @@ def test_homing_moves_each_motor_alone_and_sets_grbls_position(inverted: int) ->
 
     cnc.run(script())
     assert motor_steps[0] == pytest.approx(motor_steps[2], abs=2)
-    # The motors stand 1 mm off their switches; another mm makes 2 mm.
-    steps_1_mm_further = [(n + (-_PER_MM if not inverted else _PER_MM)) for n in motor_steps[0]]
-    switches = [700, 900, 500] if not inverted else [-700, -900, -500]
-    assert steps_1_mm_further == pytest.approx(
-        [n - 2 * _PER_MM * (1 - 2 * bool(inverted)) for n in switches], abs=4
-    )
+    # The motors stand 1 mm off their switches.
+    sign = -1 if inverted else 1
+    off_switches = [sign * (n - _PER_MM) for n in (700, 900, 500)]
+    assert motor_steps[0] == pytest.approx(off_switches, abs=4)
     # The machine is square from there on.
     moved_steps = [b - a for a, b in zip(motor_steps[0], motor_steps[1], strict=True)]
     expected = [-40 + 1, -60 + 1, -20 + 1] if not inverted else [159, 139, 179]
@@ -562,12 +562,12 @@ def test_conflicting_options_are_refused_with_the_reason(
 ) -> None:
     """A module A stands for user-defined kinematics; most options only need to be True."""
     kinematics_module = ModuleType("A")
-    places = dict.fromkeys(("START", "HOME", "TRAVEL"), (0, 0, 0))
-    vars(kinematics_module).update(inverse=None, forward=None, CENTRED=(), FASTEST=1, **places)
+    joints = dict.fromkeys(("START", "HOME", "TRAVEL"), (0, 0, 0))
+    vars(kinematics_module).update(inverse=None, forward=None, CENTRED=(), FASTEST=1, **joints)
     monkeypatch.setitem(sys.modules, "A", kinematics_module)
     options: dict[str, Any] = {"KINEMATICS": {"KINEMATICS": "A"}}
     options["ROTARY"] = {"ROTARY": "A", "STEP": (0, 1, 2, 3), "DIR": (4, 5, 6, 7)}
-    with pytest.raises(ValueError, match=f"SKEW and {word} are not for the same machine"):
+    with pytest.raises(ValueError, match=f"SKEW and {word} cannot be combined"):
         make_machine(**options.get(word, {word: True})).play([])
 
 

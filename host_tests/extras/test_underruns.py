@@ -45,7 +45,7 @@ def drains(lines: "list[str]", pause_ms: float, *, counts: bool = True) -> "list
             elif line == "M0":
                 rig.link.send(b"M0\n")
             else:
-                yield from sender.wait("ok", line + "\n", settle=0)
+                yield from sender.wait("ok", line + "\n", settle=0)  # at once after the answer
                 yield rig.ms(pause_ms)
         yield from sender.wait("idle", "\n")
         yield rig.ms(2000)  # longer than any counted pause

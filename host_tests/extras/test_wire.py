@@ -166,10 +166,10 @@ def test_homing_has_the_order_of_the_board_file() -> None:
     ("options", "why"),
     [
         ({"STEP": (0, 1, 2)}, "XYUV needs four pins in STEP and in DIR: for X, Y, U and V"),
-        ({"ROTARY": "A"}, "XYUV and ROTARY are not for the same machine"),
-        ({"JOBS": "jobs"}, "XYUV and JOBS are not for the same machine"),
-        ({"PARKING": True}, "XYUV and PARKING are not for the same machine"),
-        ({"HOMING": ("Z", "XY")}, "HOMING: Z is no axis, or there twice"),
+        ({"ROTARY": "A"}, "XYUV and ROTARY cannot be combined"),
+        ({"JOBS": "jobs"}, "XYUV and JOBS cannot be combined"),
+        ({"PARKING": True}, "XYUV and PARKING cannot be combined"),
+        ({"HOMING": ("Z", "XY")}, "HOMING: Z is no axis, or named twice"),
     ],
 )
 def test_a_board_file_that_does_not_fit_is_refused(options: "dict[str, Any]", why: str) -> None:

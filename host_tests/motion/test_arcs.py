@@ -104,7 +104,7 @@ class Course:
         to_x = target[first] - start[first] + x
         to_y = target[second] - start[second] + y
         sweep = atan2(x * to_y - y * to_x, x * to_x + y * to_y)
-        if clockwise:
+        if clockwise:  # below 5e-7 radians, the firmware makes it a full circle
             sweep -= 2 * pi if sweep >= -5e-7 else 0
         else:
             sweep += 2 * pi if sweep <= 5e-7 else 0
@@ -118,6 +118,7 @@ class Course:
 
     def check(self) -> None:
         """Check that each position is within the tolerances at the top of the module."""
+        # In mm, more than any coordinate of the arc.
         reach = 5 * self._arc.numbers[RADIUS] + sum(map(abs, [*self._start, *self._target]))
         allowed = (
             _OF_RADIUS * self._arc.numbers[RADIUS] + _OF_DISTANCE * reach + _UNITS * (1 + reach)
@@ -138,7 +139,7 @@ class Course:
 @pytest.mark.parametrize("clockwise", [False, True])
 @pytest.mark.parametrize("radius", [0.01, 0.3, 7.0, 150.0, 1000.0])
 def test_chords_of_a_circle_end_on_it(
-    radius: float, clockwise: bool, plane: "tuple[int, int, int]"
+    radius: float, clockwise: bool, plane: "tuple[int, int]"
 ) -> None:
     """A helix of one turn, about a centre away from 0."""
     case = ArcCase(
@@ -217,7 +218,7 @@ class Bench:
         self._blocks_per_wait = blocks_per_wait
         self.blocks: "list[list[int]]" = []
         self.chords_per_service: "list[int]" = []  # blocks planned since the link was last served
-        self._seen = 0
+        self._planned = 0  # blocks until the link was last served
 
     def _service(self) -> None:
         """Replace the function that serves the link while the planner is full or chords are
@@ -225,8 +226,8 @@ class Bench:
         planner = self.machine.planner
         flow = planner.flow
         queued = (flow[layout.HEAD] - flow[layout.TAIL]) % flow[layout.ROWS]
-        self.chords_per_service.append(len(self.blocks) + queued - self._seen)
-        self._seen = len(self.blocks) + queued
+        self.chords_per_service.append(len(self.blocks) + queued - self._planned)
+        self._planned = len(self.blocks) + queued
         for _ in range(self._blocks_per_wait if planner.full() else 0):
             self._take()
 
@@ -285,7 +286,7 @@ def test_check_mode_serves_the_link_as_often_and_plans_nothing() -> None:
     bench.machine.state.enter(run.CHECK)
     bench.run_lines("F500", "G1X-10Y-50", "G3X-10I-20")
     assert not bench.blocks
-    assert len(bench.chords_per_service) > 25  # 200 chords / 8
+    assert len(bench.chords_per_service) > 25  # 200 chords; served after every 8
 
 
 def test_check_mode_skips_chords_if_there_are_no_soft_limits() -> None:

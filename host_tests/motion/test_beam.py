@@ -1,7 +1,10 @@
 """The laser: power changes at the right step, through holds, overrides and resets.
 
 Each step that the simulated machine makes is recorded with its power, and compared with the dots
-of the program. That the hardware changes power on request is shown on the emulated Pico
+of the program. test_settings_effects.py explains Bench; say(text, "stream") sends a line when the
+receive buffer has space for it, "idle" waits until motion ends.
+
+That the hardware changes power on request is shown on the emulated Pico
 (emulator/test_pico_laser.py), and here for the program of its state machine.
 """
 
@@ -49,12 +52,12 @@ def run_laser(
     """Run lines, after `before`; events: bytes sent meanwhile, each this many ms after the one
     before."""
     bench, result = Bench(_SETTINGS, "sim_laser"), LaserRun()
-    x_count = ROW_AXES
+    x_count_at = ROW_AXES  # index in a row of X's number of steps
 
     def trace(_start: int, row: "array[int]") -> None:
         sign = -1 if row[ROW_DIRS] & 1 else 1
-        result.steps += [row[ROW_POWER]] * row[x_count]
-        result.signs += [sign] * row[x_count]
+        result.steps += [row[ROW_POWER]] * row[x_count_at]
+        result.signs += [sign] * row[x_count_at]
 
     def script() -> Iterator[Any]:
         """Run the lines (with events: send bytes meanwhile), wait, and record power and
@@ -200,7 +203,8 @@ def test_m4_is_off_at_rest_and_m3_stays_on() -> None:
 
 
 def test_a_spindle_override_rescales_dots() -> None:
-    """To 50 %, by five times -10 %; also the dots of blocks that wait in the planner."""
+    """To 50 %, by five times -10 %, also of blocks that wait in the planner. The dot under way,
+    1000 in half of the first 625 steps, keeps its power."""
     lines = [(2.5, [1000, 500])] * 3
     result = run_laser(*(dots_line(*line) for line in lines), events=[(5, "\x9b" * 5)])
     assert result.steps[0] == 1000 and 500 not in result.steps[:600]
@@ -349,11 +353,13 @@ def test_a_board_without_clusters_refuses_them() -> None:
 def test_a_dot_has_the_same_power_as_s(
     values: "list[float]", most: float, least: float, full: int, dynamic: bool
 ) -> None:
-    """store() computes the powers of dots; Spindle.block_power() those of S. most, least: $30,
-    $31; full: levels of the PWM."""
+    """store_dots() computes the powers of dots; Spindle.block_power() those of S.
+
+    most, least: $30, $31; full: levels of the PWM.
+    """
     spindle = make_spindle(most, least, full)
     spindle.laser = True
-    flags = 0x20 | (layout.DYNAMIC if dynamic else 0)
+    flags = 0x20 | (layout.DYNAMIC if dynamic else 0)  # 0x20: the spindle turns
     spindle.block_power(flags, 0)  # reads the override
     scale = spindle._state.spindle
     # of two blocks: a count and 16 dots each; 16 S values each. The second block is used.

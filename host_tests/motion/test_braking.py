@@ -56,14 +56,14 @@ def hardest_braking(bench: Bench) -> float:
     The effect of braking within a small fraction of a step is subtracted: at 1 kHz a row of 2 ms
     brakes a tenth harder, the next a tenth less.
     """
-    rates = [
+    decelerations = [
         (before.speed - after.speed - after.block.braked(STEP_PART))
         / after.time
         / after.block.acceleration
         for before, after in pairwise(bench.watch.pieces)
         if after.time > 5e-4
     ]
-    return max(rates, default=0.0)
+    return max(decelerations, default=0.0)
 
 
 # Travel as a fraction of the ramps' length, and feed rates as a fraction of the highest.
@@ -145,7 +145,7 @@ def test_a_move_ends_at_the_planned_speed_with_jerk_limited(
 
 
 def test_millions_of_steps_of_braking_end_at_rest() -> None:
-    """The braking distance is known to 2**-13, more than the last steps can correct."""
+    """An error of 2**-13 of the braking distance is more than the last steps can correct."""
     bench = make_bench("pio", FASTEST_HZ, steps_per_mm=1600.0, ramp_s=12.0)
     bench.line((2400.0, 0, 0))
     check(bench)
@@ -177,7 +177,8 @@ def test_a_hold_and_the_remaining_distance_brake_in_time(engine: str) -> None:
 def test_a_triangle_profile_of_160_khz_ends_at_the_planned_speed(
     lines: Any, end_speeds: Any
 ) -> None:
-    """lines: position in mm and feed in mm/min; end_speeds: at the end of each, mm/s."""
+    """lines: position in mm and feed in mm/min; end_speeds: at the end of each, in mm/s;
+    piece.mean: the mean speed of a line's last piece."""
     bench = Bench(Limits((1600.0,) * 3, (6000.0,) * 3, (300.0,) * 3, step_hz=FASTEST_HZ))
     for place, feed in lines:
         bench.line((place, 0, 0), feed)

@@ -163,8 +163,8 @@ accelerations = st.integers(1, 2**30 - 1)
 
 @given(speeds, speeds, accelerations, st.sampled_from([0, 18]))
 def test_braking_distance_matches_floats(speed_1: int, speed_2: int, ramp: int, unit: int) -> None:
-    """v**2 = 2 a s, in fixed point; too far: HIGHEST. unit: distances in 2**-unit step, 18
-    or 0."""
+    """v**2 = 2 a s, in fixed point; too far: HIGHEST. Speeds and the acceleration, ramp, are in
+    2**-18 step per full segment, the distance in 2**-unit step."""
     fast, slow = max(speed_1, speed_2), min(speed_1, speed_2)
     exact = (fast - slow) * (fast + slow) / 2 / ramp * 2.0 ** (unit - 18)
     got = ramps.braking(fast, slow, ramp, unit)
@@ -181,7 +181,7 @@ def test_braking_distance_matches_floats(speed_1: int, speed_2: int, ramp: int, 
 def test_speed_after_a_distance_matches_floats(
     speed: int, ramp: int, distance: int, down: bool
 ) -> None:
-    """v**2 = v0**2 + 2 a s, or -2 a s if down; below 0 it is 0."""
+    """v**2 = v0**2 + 2 a s, or -2 a s if down; below 0 it is 0. ramp: the acceleration."""
     square = speed**2 + (-2 if down else 2) * ramp * distance
     got = ramps.after(speed, ramp, distance, int(down))
     tolerance = (speed**2 + 2 * ramp * distance) * 2**-11 + 4
@@ -242,7 +242,7 @@ def test_a_short_move_at_extreme_settings_keeps_every_law(rate, acceleration, re
 @example([29_000] * 6)  # the sum of six squares of 14 bits needs more than 30
 def test_the_length_of_a_block_matches_its_distances(steps: "list[int]") -> None:
     axes = len(steps)
-    # 1 step/mm, mm/min, mm/s2: a mm is a step
+    # 1 step/mm, 60 mm/min, 100 mm/s2
     bench = Bench(Limits(*[(1.0,) * axes, (60.0,) * axes, (100.0,) * axes]))
     if bench.line([float(count) for count in steps]):
         row = bench.planner.row()
@@ -262,7 +262,7 @@ def test_a_limit_along_a_move_is_the_axis_limit_divided_by_its_share(
     (64, axis), the block's length (66, length)."""
     table = array("i", [0] * (layout.LIMITS + 6))
     table[layout.AXES] = 1
-    # mm/s and mm/s2
+    # With one axis, from LIMITS on: mm per step, mm/s, mm/s2, two directions, distance.
     table[layout.LIMITS + 1] = table[layout.LIMITS + 2] = (80 << 15) + limit_mantissa
     table[layout.LIMITS + 5] = (64 << 15) + axis_mantissa
     ring = layout.ring(1, 2)

@@ -121,9 +121,7 @@ def test_each_further_motor_follows_one_of_the_first(moves: Sequence[int]) -> No
     the first motors."""
     # a mask, and that of the reversed motor
     masks = [{m, (m & 0xFF) << 8 | m >> 8} for m in Kinematics(3, moves).moves]
-    assert all(
-        any(steps_and_ticks == first for first in masks[:3]) for steps_and_ticks in masks[3:]
-    )
+    assert all(any(mask_pair == first for first in masks[:3]) for mask_pair in masks[3:])
 
 
 def run_zigzag(moves: Sequence[int]) -> "tuple[Bench, list[array[int]]]":

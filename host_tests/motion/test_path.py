@@ -29,10 +29,10 @@ def make_bench(engine: str, rate_hz: float, travel_mm: "tuple[float, ...]") -> B
     """Return a bench with a line on which the fastest motor makes rate_hz, at 1600 steps/mm, after
     a ramp of 25 ms."""
     length = sum(mm * mm for mm in travel_mm) ** 0.5
-    feed = rate_hz / 1600 * length / max(map(abs, travel_mm))
-    limits = Limits((1600.0,) * 3, (feed * 60,) * 3, (feed * 40,) * 3, step_hz=FASTEST_HZ)
+    mm_s = rate_hz / 1600 * length / max(map(abs, travel_mm))
+    limits = Limits((1600.0,) * 3, (mm_s * 60,) * 3, (mm_s * 40,) * 3, step_hz=FASTEST_HZ)
     bench = Bench(limits, 16, *ENGINES[engine])
-    bench.line(travel_mm, feed * 60)
+    bench.line(travel_mm, mm_s * 60)
     return bench
 
 
@@ -52,8 +52,8 @@ def off_line_steps(bench: Bench) -> float:
 def test_motors_keep_to_the_line(
     engine: str, fraction: float, y_z_mm: "tuple[float, float]"
 ) -> None:
-    """fraction: of the engine's highest step rate; above _TO_HZ the tolerance grows with its
-    square."""
+    """fraction: of the engine's highest step rate; above _SHORT_ROWS_HZ the tolerance
+    grows with its square."""
     rate_hz = fraction * _MOST_HZ[engine]
     off_steps = off_line_steps(make_bench(engine, rate_hz, (4.0, *y_z_mm)))
     allowance = max((rate_hz / _SHORT_ROWS_HZ) ** 2, 1.0)
@@ -76,7 +76,7 @@ def test_lines_that_once_failed_keep_to_the_line(feed: int, was: float) -> None:
 def test_the_words_of_the_pio_keep_to_the_line() -> None:
     """The words sent to the state machines, at the highest rate with pulses of 10 us."""
     bench = make_bench("pio", 85_000, (10.0, 7.3, -2.2))
-    steps = _play_words(bench, 1)
+    steps = _play_words(bench, us=1)  # times in ticks, as if one lasted 1 us
     assert (
         off_line([[tick for tick, motor, _ in steps if motor == axis] for axis in range(3)])
         < 0.5 + _MARGIN_STEPS
@@ -95,4 +95,4 @@ def test_every_reader_of_a_row_places_its_steps_alike(
     k = data.draw(st.integers(0, steps - 1))
     tick = step_tick(row, ROW_AXES, k)
     assert slice_kernel.step_tick(row, ROW_AXES, k) == tick
-    assert clusters.reach(row, ROW_AXES, k, 1, 2) == tick
+    assert clusters.reach(row, ROW_AXES, k, 1, 2) == tick  # of k + 1/2 steps

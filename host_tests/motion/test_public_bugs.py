@@ -104,10 +104,10 @@ def test_faults_of_other_controllers_keep_every_law(name: str, engine: str, jerk
     bench.planner.catch_up()
     bench.check()
     assert bench.watch.pieces[-1].ends_block
-    # the segments of each line
-    for _, row in groupby(bench.watch.made, lambda segment: segment.block):
-        rows = [(segment.start, segment.row) for segment in row]
-        assert off_line([[tick for tick, _ in pulses(rows, axis)] for axis in range(3)]) <= 1.05
+    for _, of_line in groupby(bench.watch.made, lambda segment: segment.block):
+        rows = [(segment.start, segment.row) for segment in of_line]
+        off_steps = off_line([[tick for tick, _ in pulses(rows, axis)] for axis in range(3)])
+        assert off_steps <= 1.05
 
 
 def test_a_helix_with_arcs_never_stops_between_lines() -> None:
@@ -126,8 +126,8 @@ def test_a_helix_with_arcs_never_stops_between_lines() -> None:
 def test_a_raster_stops_for_power_changes_only_without_laser_mode(
     line: str, laser_mode: int, expected_stops: int
 ) -> None:
-    """In laser mode with M3 a block carries its line's S; else the spindle changes at rest.
-    expected_stops: pauses between segments, one for each of 60 lines."""
+    """In laser mode with M3 a block carries its line's S; else motion stops for it.
+    expected_stops: one before each of 60 lines; before the first, there is no segment."""
     machine = Machine({1: 255, 32: laser_mode, 110: 6000, 111: 6000, 120: 1000, 121: 1000})
     raster = [
         line.format(x=f"{k / 10:.1f}", s=k * 37 % 1000, g="G0" if k % 2 else "G1")

@@ -63,7 +63,7 @@ def answer_and_motors(
     """Send a line of this form to an idle machine; return the answer, and the motors' position."""
     machine = Machine({**SETTINGS, 100: steps_per_mm}, board, watched=False)
     amount = f"{mm / _INCH_MM if form == 'inches' else mm:.4f}"
-    line = FORMS[form].format(amount).replace("--", "")
+    line = FORMS[form].format(amount).replace("--", "")  # "X-{}" of a negative amount
     return last_answer(machine, ["G1F500", "G1X0", *line.split("\n")]), machine.physical()
 
 
@@ -109,8 +109,8 @@ def test_a_refused_huge_arc_moves_no_motor(text: str) -> None:
 
 
 def test_a_target_is_refused_if_a_changed_resolution_puts_it_out_of_reach() -> None:
-    """$100: from 250 to 1600 steps/mm; 1000 m are 2.5e8 steps first, then 1.6e9: more than
-    2**29."""
+    """$100: from 250 to 1600 steps/mm; the target, at 1000 m after G10, is 2.5e8 steps away first,
+    then 1.6e9: more than 2**29."""
     machine = Machine(SETTINGS, watched=False)
     lines = ["G1F500", "G10L20P1X-2000000", "$100=1600", "G1X-1000000F500"]
     assert last_answer(machine, lines) == "ALARM:2"
@@ -146,11 +146,12 @@ def a_positions(machine: Machine) -> "tuple[float, float]":
 @pytest.mark.usefixtures("early_unwinding")
 @pytest.mark.parametrize("line", ["G91G1A330F200000", "T1G91G1A330F200000", "$J=G91A330F200000"])
 def test_an_endless_axis_keeps_turning_and_keeps_its_angle(line: str) -> None:
+    """early_unwinding: whole turns are subtracted from positions beyond 819 degrees."""
     machine = run_rotary([line] * 12 + ["G4P0.1"])
     assert machine.physical()[3] == 12 * 6600  # 330 degrees are 6600 steps
     mpos, work = a_positions(machine)
     assert work == 12 * 330.0
-    assert abs(mpos) <= 820 and (work - mpos) % 360 == 0  # whole turns were subtracted from it
+    assert abs(mpos) <= 820 and (work - mpos) % 360 == 0
 
 
 @pytest.mark.usefixtures("early_unwinding")

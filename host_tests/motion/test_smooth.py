@@ -27,7 +27,7 @@ _BLEND_FACTOR = 1.25
 def intervals(
     travel_mm: "tuple[float, ...]", feed: float, acceleration: float, per_mm: float
 ) -> "list[list[int]]":
-    """Return the ticks between steps of each motor, in a move from rest to rest."""
+    """Return the ticks between steps of each motor, in a single move. feed: in mm/min."""
     bench = Bench(Limits((per_mm,) * 3, (30_000.0,) * 3, (acceleration,) * 3))
     bench.line(travel_mm, feed)
     bench.finish()

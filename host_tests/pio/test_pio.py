@@ -174,9 +174,9 @@ class Words:
         heads = [self.lane(i, pulses.HEAD) for i in range(AXES)]
         self.delays.append(pulses.convert(piece, self.lanes, self.ring, self.timing))
         for i, words in enumerate(self.words):
-            segment = (self.lane(i, pulses.HEAD) - heads[i]) % (1 << pulses.RING_LOG2)
-            assert segment <= 6, "a segment makes at most six words per ring"
-            for k in range(segment):
+            count = (self.lane(i, pulses.HEAD) - heads[i]) % (1 << pulses.RING_LOG2)
+            assert count <= 6, "a segment makes at most six words per ring"
+            for k in range(count):
                 at = (heads[i] + k) % (1 << pulses.RING_LOG2)
                 words.append(self.ring[(i << pulses.RING_LOG2) + at] & 0xFFFFFFFF)
 
@@ -238,10 +238,10 @@ def segmented(
     bench = Bench(limits, 64, HZ, LOG2)  # 64 blocks; segments of up to 1 << LOG2 ticks
     for target in targets:
         bench.line(target, feed * 60)  # mm/min
-    segment = []
+    rows = []
     while bench.segments.next(bench._row):
-        segment.append(bench._row[:])
-    return segment
+        rows.append(bench._row[:])
+    return rows
 
 
 def at_rate(
@@ -321,7 +321,7 @@ def words_of(rows: "Iterable[array[int]]", timing: Timing = TIMINGS["usual"]) ->
 
 
 def play_words(words: "list[int]", pulse: int, run_ticks: int) -> "list[tuple[int, int, int]]":
-    """Return the edges (tick, pin, level) of one machine that plays these words for count ticks.
+    """Return the edges (tick, pin, level) of one machine that plays these words.
 
     pulse: ticks of a pulse.
     """
@@ -469,7 +469,7 @@ def test_machines_stay_synchronous_to_the_tick(case: "tuple[Timing, list[array[i
     assert turn_ticks == [words.end + later_ticks + 1] * AXES
 
 
-@given(segments(40))
+@given(segments(gap=40))
 def test_steps_requested_too_fast_come_late_and_complete(rows: "list[array[int]]") -> None:
     """Steps closer than the program allows: none is lost, and the machines stay synchronous."""
     words = words_of(rows)
@@ -951,7 +951,7 @@ def test_a_stop_of_the_engine_is_immediate_and_leaves_the_true_position(
 ) -> None:
     """Whichever words were made, handed over, fetched, or in transit from DMA to a FIFO.
 
-    dma: arguments counted and flight of a_bed().
+    dma: arguments counted and flight of engine_bench().
     """
     timing, rows = data.draw(timed_segments(14, motors))
     with engine_bench(timing, latency, *dma, motors) as bench:
@@ -1264,20 +1264,20 @@ def test_rp2350_registers_match_its_data_sheet() -> None:
         # GPIOn_CTRL of IO_BANK0; 6: the function PIO 0.
         registers: dict[int, int] = {0x40028004 + 8 * pin: 6 for pin in pins}
         patch.setattr(machine, "mem32", registers)
-        segment = PioEngine(_STEP[:6], _DIR[:6])
-        segment.configure(10, 0b100001, 0b000100)  # pulse in us, inversion of STEP and of DIR
+        engine = PioEngine(_STEP[:6], _DIR[:6])
+        engine.configure(10, 0b100001, 0b000100)  # pulse in us, inversion of STEP and of DIR
         inverted = {STEP[0], _STEP[5], DIR[2]}
         for pin in pins:  # GPIOn_CTRL, OUTOVER in bits 13:12
             assert registers[0x40028004 + 8 * pin] == 6 | (pin in inverted) << 12
-        sixth = segment._memory.lanes[pulses.LANE * 5 + pulses.MACHINE]
+        sixth = engine._memory.lanes[pulses.LANE * 5 + pulses.MACHINE]
         assert sixth == 0x50300000 + 0xE0  # PIO 1, SM1_CLKDIV
-        assert segment._engine_state[state_layout.CLOCK_PIO] == 0x50300000
+        assert engine._engine_state[state_layout.CLOCK_PIO] == 0x50300000
         patch.setattr(rp2.DMA, "claimed", 0)
-        segment = PioEngine(_STEP[:8], _DIR[:8])
-        eighth = segment._memory.lanes[pulses.LANE * 7 + pulses.MACHINE]
+        engine = PioEngine(_STEP[:8], _DIR[:8])
+        eighth = engine._memory.lanes[pulses.LANE * 7 + pulses.MACHINE]
         assert eighth == 0x50300000 + 0x110  # PIO 1, SM3_CLKDIV
-        assert segment._engine_state[state_layout.CLOCK_PIO] == 0x50400000  # PIO 2
-        assert segment._engine_state[masked] == 1 << 21 | 1 << 19 | 1 << 17 | 0b1111  # PIO2_IRQ_0
+        assert engine._engine_state[state_layout.CLOCK_PIO] == 0x50400000  # PIO 2
+        assert engine._engine_state[masked] == 1 << 21 | 1 << 19 | 1 << 17 | 0b1111  # PIO2_IRQ_0
         with pytest.raises(ValueError, match="only pins 0 to 31 make pulses"):
             PioEngine((2, 4, 6), (3, 5, 32))
 

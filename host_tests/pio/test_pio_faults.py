@@ -115,7 +115,7 @@ class Injector:
         self.seen: dict[tuple[str, int], int] = {}
         self.stop_point: tuple[tuple[str, int], int] | None = None
         self.steps_at_stop = -1  # steps made when the stop came
-        self._bed = bench
+        self._bench = bench
         self._event = "opcode" if opcodes else "line"
         self._due = False
 
@@ -133,15 +133,15 @@ class Injector:
             key = (code.co_name, place)
             self.seen[key] = count = self.seen.get(key, 0) + 1
             self._due = self._due or (key, count) == self.stop_point
-            if self._due and self._bed.chip._pins_may:
+            if self._due and self._bench.chip._pins_may:
                 self._stop()
         return self.trace
 
     def _stop(self) -> None:
         sys.settrace(None)
-        self._bed.engine.stop()
-        self.steps_at_stop = self._bed.total_steps()
-        assert self._bed.reported_steps() == self._bed.counted_steps()
+        self._bench.engine.stop()
+        self.steps_at_stop = self._bench.total_steps()
+        assert self._bench.reported_steps() == self._bench.counted_steps()
 
 
 @contextmanager
@@ -230,7 +230,7 @@ def test_the_engines_interrupt_may_come_during_a_stop(work: str, motors: int) ->
             before = bench.chip.accesses
             bench.chip.preempt(after, _interrupt(bench))
             bench.chip.interruptible(bench.engine.stop if work == "stop" else _lock_y(bench))
-            bench.chip._preempt = None
+            bench.chip._preempt = None  # the call may have ended before it
             ended_before = bench.chip.accesses - before < after
             if work == "stop":
                 check_stopped(bench, steps_before)
@@ -318,8 +318,8 @@ def test_an_exception_in_the_interrupt_stops_everything(
     on_fault_fails: so does on_fault, which switches the tool off, as without stack space.
     """
     rows = fast_rows([0] * 9, motors=motors)
-    for k, steps_before in enumerate(rows):
-        steps_before[2] = k  # power: a change in each row calls _on_power
+    for k, row in enumerate(rows):
+        row[2] = k  # power: a change in each row calls _on_power
     with engine_bench(motors=motors) as bench:
         bench.start(rows)
         bench.chip.run(3500)
@@ -387,7 +387,7 @@ def test_an_extra_word_is_noticed_before_anything_moves(motors: int, lane: int) 
         assert bench.total_steps() == steps_before
         bench.engine.arm()
         assert bench.engine.fault() == ""
-        bench.faults.append(0)  # a_bed() accepts a lost word only with a fault
+        bench.faults.append(0)  # engine_bench() accepts a lost word only with a fault
 
 
 @pytest.mark.parametrize(("motors", "lane"), [(3, 0), (6, 4)])
@@ -427,7 +427,7 @@ def test_a_stuck_dma_channel_is_a_fault(motors: int, lane: int) -> None:
 
 def test_a_missing_interrupt_is_a_fault_until_the_engine_is_armed() -> None:
     """MicroPython disables a handler for good once it has raised. Here a handler that does nothing
-    takes its place."""
+    takes its place; PIO.handlers: by PIO, the arguments of irq()."""
     with engine_bench() as bench:
         rp2.PIO.handlers[1] = (lambda _: 0, 0, True)
         bench.start(fast_rows([0]))
@@ -564,7 +564,7 @@ def test_another_emulator_agrees_on_random_words(words: "list[int]", pulse: int)
 
 
 def test_another_emulator_agrees_on_the_clock() -> None:
-    """lengths: ticks of each segment; the clock's program takes 4 ticks of each itself."""
+    """The clock's program takes 4 ticks of each segment itself."""
     lengths = [4, 5, 700, 4, 91]
     state = pioemu.State(transmit_fifo=deque(length - 4 for length in lengths))
     program = list(programs.clock[0])

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from micropython_runner import needs_micropython, run_micropython
-from motion.layout import ROW_AXES
+from motion.layout import ROW_AXES, ROW_DIRS
 from ugrbl.paths import EXAMPLES, FIRMWARE
 from ugrbl.sim import group_program
 from ugrbl.sim.group_hardware import SimHardware
@@ -101,18 +101,16 @@ DRAWING = """<svg><path id="one" d="M10,10 L30 10 30,20.5 z"/>
 
 
 def corners(hardware: SimHardware, pen: float = 0.0) -> "list[tuple[float, float]]":
-    """Return the positions (mm) between moves with the pen down. pen: its steps when down; axes:
-    pen, x, y, with 80 steps per mm."""
-    corners_mm, steps, dirs = [], [0, 0, 0], 0
+    """Return the positions (mm) at the ends of rows with the pen down, corners among them.
+    pen: its steps when down; axes: pen, x, y, with 80 steps per mm, y inverted."""
+    corners_mm, steps = [], [0, 0, 0]
     for _, row in hardware.made:
         steps_before = tuple(steps)
         for i in range(3):
             count = row[ROW_AXES + 3 * i]
-            steps[i] += -count if row[1] >> i & 1 else count
+            steps[i] += -count if row[ROW_DIRS] >> i & 1 else count
         if steps[0] == pen and steps_before != tuple(steps):
             corners_mm.append((steps[1] / 80, -steps[2] / 80))
-        dirs = row[1]
-    assert dirs >= 0
     return corners_mm
 
 

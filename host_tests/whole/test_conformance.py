@@ -155,7 +155,7 @@ def test_a_machine_with_a_fault_fails(fault: str, monkeypatch: pytest.MonkeyPatc
 
     def choose(rows: list[Any]) -> list[Any]:
         # row[1] is the case; 4 of those that can show the fault are enough.
-        showing = rings.sample([row for row in rows if _FAULTS[fault](row[1])], 4, 4)
+        showing = rings.sample([row for row in rows if _FAULTS[fault](row[1])], first=4, second=4)
         return showing[:: max(1, len(showing) // 20)]  # without answers each case waits long
 
     folder = folder / "motion" if fault == "takes_three_times" else folder

@@ -278,7 +278,7 @@ def test_rmt_disconnects_the_pins_while_the_channels_continue(engine: str) -> No
     # A train is (start us, level, durations, end us): some channel plays 1.5 ms longer.
     last_end_us = max(channel.trains[-1][3] for channel in esp32.RMT.channels)
     assert last_end_us > stopped_us + 1500
-    rig.engine.advance(rig.engine.now + 50_000)
+    rig.engine.advance(rig.engine.now + 50_000)  # ticks of 1 us
     assert all(us <= stopped_us for us, *_ in rig.steps)
 
 
@@ -314,7 +314,7 @@ def test_rmt_inverts_steps_in_the_pin_registers() -> None:
     assert rig.reported_steps() == rig.counted_steps() == [0, 0, 0]
     assert [word >> 9 & 1 for word in words_of_pins()] == [0, 1, 0]
     rig.engine.stop()
-    # 0x100: not connected to RMT, level 0; with bit 9 inverted: level 1, at rest for axis 1.
+    # 0x100: not connected to RMT, level 0; with bit 9: level 1, no pulse for axis 1.
     assert [word & 0x300 for word in words_of_pins()] == [0x100, 0x300, 0x100]
 
 
@@ -351,12 +351,12 @@ def test_i2s_begins_a_new_stream_after_a_flash_write(notified: bool) -> None:
     real = [steps_of_axis(rig.steps, axis) for axis in range(3)]
     # Every interval between steps at the pins is within 20 us of the planned one.
     as_planned = all(
-        len(steps) == len(made_steps)
+        len(due_steps) == len(real_steps)
         and all(
             abs((b - a) - (d - c)) < 20
-            for (a, _), (b, _), (c, _), (d, _) in pair_gaps(made_steps, steps)
+            for (a, _), (b, _), (c, _), (d, _) in pair_gaps(real_steps, due_steps)
         )
-        for steps, made_steps in zip(due, real, strict=True)
+        for due_steps, real_steps in zip(due, real, strict=True)
     )
     assert as_planned is notified, (
         "a wrong order of buffers must show, unless there is a new stream"

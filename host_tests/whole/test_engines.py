@@ -76,7 +76,7 @@ class EngineRig:
         if name in ESP:
             self.engine = EspEngine(name, motors)
             # tick frequency, log2 of a full segment's ticks, highest step frequency
-            hz, log2, most = self.engine.tick_hz, self.engine.segment_log2, 0
+            hz, log2 = self.engine.tick_hz, self.engine.segment_log2
             most = self.engine.max_step_hz(_PULSE_US)
         elif name == "pio":  # no engine object: see _play_words()
             hz, log2, most = 12_500_000, 16, 12_500_000 // pulses.shortest_gap(125)
@@ -501,9 +501,8 @@ def test_power_is_reported_with_the_segments(engine: str) -> None:
 
     rig.engine.attach(with_power, rig.powers.append, rig._on_motion_end)
     rig.run_to_end()
-    reported = [power for power, _ in zip(rig.powers, rig.powers, strict=True)]
-    assert reported == sorted(reported)
-    assert len(set(reported)) >= 5
+    assert rig.powers == sorted(rig.powers)
+    assert len(set(rig.powers)) >= 5
 
 
 @pytest.mark.parametrize("engine", WHOLE)
@@ -676,7 +675,7 @@ def test_i2s_reaches_its_highest_rate() -> None:
     steps_us = [us for us, _ in steps_of_axis(rig.steps, 0)]
     gaps_us = [b - a for a, b in pairwise(steps_us)]
     assert min(gaps_us) >= 24  # us
-    # A frame has 16 ticks and 8 us. In the middle of the motion, at full speed:
+    # Frames (of 16 ticks) per second / frames (of 8 us) per step, in the middle of the motion.
     assert max(rig.engine.tick_hz // 16 / (gap / 8) for gap in gaps_us[6000:9000]) > 40_000
 
 

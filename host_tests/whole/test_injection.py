@@ -296,7 +296,7 @@ def test_nothing_moves_or_turns_after_a_stop(scenario: Scenario, event: str) -> 
     if scenario.homes and event == "limit_x":
         pytest.skip("homing uses the switches itself")
     for at_bytecode in sample_bytecodes(
-        count_bytecodes(scenario), len(scenario.name) + len(event)
+        count_bytecodes(scenario), phase=len(scenario.name) + len(event)
     ):
         Trial(scenario, at_bytecode, event).run()
 

@@ -185,14 +185,14 @@ def any_limits(axes: int):
     deviation in mm, the highest step frequency in Hz, and motors as masks of the axes they follow.
     """
 
-    def lines_per_segment(*values):
+    def per_axis(*values):
         return st.tuples(*[st.sampled_from(values)] * axes)
 
     return st.builds(
         Limits,
-        lines_per_segment(40.0, 80.0, 250.0, 800.0, 26.667),
-        lines_per_segment(100.0, 500.0, 3000.0, 20_000.0),
-        lines_per_segment(5.0, 10.0, 200.0, 3000.0),
+        per_axis(40.0, 80.0, 250.0, 800.0, 26.667),
+        per_axis(100.0, 500.0, 3000.0, 20_000.0),
+        per_axis(5.0, 10.0, 200.0, 3000.0),
         st.sampled_from([0.001, 0.01, 0.05, 0.5]),
         st.just(90_909),
         st.sampled_from({3: [(), COREXY, SECOND_Y], 6: [(), EIGHT_MOTORS]}.get(axes, [()])),
@@ -205,12 +205,12 @@ def actions(axes: int):
     "line" has the distances in mm instead of the target, and the feed in mm/min (0: rapid); six of
     nine actions are lines. "override" has the feed and the rapid override in %.
     """
-    steps = st.one_of(
+    distances = st.one_of(
         *[st.tuples(*[st.floats(-size, size)] * axes) for size in (0.02, 0.5, 4.0)],
         st.tuples(st.floats(-5, 5), *[st.just(0.0)] * (axes - 1)),
     )
     return st.one_of(
-        *[st.tuples(st.just("line"), steps, st.sampled_from([0, 30, 600, 2000, 9000]))] * 6,
+        *[st.tuples(st.just("line"), distances, st.sampled_from([0, 30, 600, 2000, 9000]))] * 6,
         st.tuples(st.just("pull"), st.integers(1, 9)),
         st.tuples(st.just("hold")),
         st.tuples(st.just("override"), st.integers(10, 200), st.sampled_from([25, 50, 100])),
@@ -236,8 +236,8 @@ def test_random_programs_keep_every_law(axes: int, data) -> None:
 
 # Lookahead
 
-steps = st.floats(-0.3, 0.3).map(lambda x: round(x, 3))
-short_moves = st.lists(st.tuples(steps, steps, st.sampled_from([300.0, 6000.0, 0.0])), max_size=60)
+short = st.floats(-0.3, 0.3).map(lambda x: round(x, 3))  # mm
+short_moves = st.lists(st.tuples(short, short, st.sampled_from([300.0, 6000.0, 0.0])), max_size=60)
 
 
 def positions_and_feeds(moves):
@@ -427,7 +427,8 @@ def test_homing_with_bouncing_switches_ends_like_clean_ones() -> None:
         for axis, (pin, steps) in enumerate(
             (("limit_x", 500), ("limit_y", 700), ("limit_z", 300))
         ):
-            machine.rig.engine.switches.append(Switch(pin, axis, True, steps, bounces))
+            switch = Switch(pin, axis, above=True, steps=steps, bounces=bounces)
+            machine.rig.engine.switches.append(switch)
         machine.play(["$H"])
         assert machine.reported() == [-0.5, -0.5, -0.5]
         places.append(machine.physical())

@@ -126,7 +126,7 @@ def test_the_version_is_the_same(package: Package) -> None:
 
 
 def test_an_example_gives_the_same_result(package: Package) -> None:
-    """The JSON of `ugrbl run` is that of the checkout, which here() runs."""
+    """The JSON of `ugrbl run` is that of the checkout."""
 
     def words(examples: Path) -> "list[object]":
         custom = examples / "custom" / "oscillating.py"

@@ -166,7 +166,7 @@ class Bench:
         self.answers += self.sender.take()
 
     def _place(self) -> "Iterator[Any]":
-        """Ask for a report, and add its position in mm to places."""
+        """Ask for a report, and add its position to positions_mm."""
         yield from self.sender.wait("report", "?")
         self.answers += self.sender.take()
         report = next(line for line in reversed(self.answers) if line.startswith("<"))

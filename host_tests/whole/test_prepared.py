@@ -62,7 +62,7 @@ def test_laws_and_torture(tree: Path) -> None:
     whole = ["--whole"] if rings.is_whole() else []
     done = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *whole, *tests],
-        env={**os.environ, **_environment(tree), "UGRBL_TORTURE": "4"},
+        env={**os.environ, **_environment(tree), "UGRBL_TORTURE": "4"},  # seeds
         cwd=tree,
         capture_output=True,
         text=True,

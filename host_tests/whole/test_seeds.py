@@ -600,12 +600,15 @@ def test_a_dwell_takes_its_time() -> None:
 
 
 def test_a_feed_is_limited_to_the_highest_rate() -> None:
-    """A millimetre at 500 mm/min and 10 mm/s2 takes 0.63 s, at any F."""
-    slow = _promise_named("000 F above the highest rate is cut to it")._replace(
-        settings=("$120=500",)
-    )
-    rig = check_promise(slow)
-    assert rig.now / rig.ticks_per_ms > 60_000 / 500
+    """A millimetre at $110=500 (mm/min) takes 0.12 s; without the limit it takes 9 ms."""
+    promise = _promise_named("000 F above the highest rate is cut to it")
+
+    def duration_ms(highest_rate: int) -> float:
+        settings = ("$120=50000", f"$110={highest_rate}")
+        rig = check_promise(promise._replace(settings=settings))
+        return float(rig.now / rig.ticks_per_ms)
+
+    assert 100 < duration_ms(500) - duration_ms(60_000) < 125
 
 
 def test_a_jog_is_reported_and_a_hold_discards_waiting_jogs() -> None:

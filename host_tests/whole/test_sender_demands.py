@@ -196,7 +196,7 @@ def test_gsender_recognises_a_machine_that_has_greeted_before() -> None:
 
     def steps(talk: Talk) -> Steps:
         """Ask five times; each time there is one answer."""
-        yield from talk.wait_ms(5000)  # ms: the banner was long ago
+        yield from talk.wait_ms(5000)  # the banner was long ago
         for _ in range(5):
             yield from talk.send("$I\n")
             assert len(answers(talk.lines)) == 1
@@ -520,7 +520,8 @@ def test_every_sender_gets_its_status_at_the_end_of_homing_at_the_latest() -> No
         """Ask while homing; a report comes, and homing ends at the right place."""
         for letter, axis in zip("xyz", range(3)):
             # A switch at 10 mm: 2500 steps; after the pull-off of 1 mm the position is -1.
-            talk.rig.engine.switches.append(Switch(f"limit_{letter}", axis, True, 2500))
+            switch = Switch(f"limit_{letter}", axis, above=True, steps=2500)
+            talk.rig.engine.switches.append(switch)
         yield from talk.send("$H\n", "ms 100")
         yield from talk.send("?", "report")
         yield from talk.wait_until_idle()

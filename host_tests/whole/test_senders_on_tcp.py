@@ -108,11 +108,11 @@ def test_ugs_initialises_once_and_gets_all_its_answers(wire: Wire, state: str) -
     at most 2 s for each answer. wire: a connection to a machine with these settings.
     """
     wire.listen(2.0)
-    last_query_s = 0
+    queries = 0
     while not (reports := [line for line in wire.lines if line.startswith("<")]):
-        assert last_query_s < 10, "UGS gives up"
+        assert queries < 10, "UGS gives up"
         wire.send(b"?")
-        last_query_s += 1
+        queries += 1
         wire.listen(1.0, lambda: any(line.startswith("<") for line in wire.lines))
     assert re.match(rf"<{state}\|MPos:[-\d.,]+\|FS:\d+,\d+", reports[0])
     if state == "Alarm":
@@ -162,7 +162,7 @@ def test_candle_begins_with_its_reset_and_streams(wire: Wire) -> None:
 def _stream(wire: Wire, lines: list[bytes]) -> None:
     """Send lines with at most 127 bytes unanswered, and ask for a report each 40 ms."""
     unanswered_lengths: deque[int] = deque()  # lengths of the lines that are not answered yet
-    sent = answered = lines_read = 0  # numbers of lines; looked: of received ones
+    sent = answered = lines_read = 0  # numbers of lines; lines_read: reports, too
     last_query_s = time.monotonic()
     wire.forget()
     while answered < len(lines):

@@ -353,7 +353,7 @@ def test_a_bouncing_contact_is_reported_at_its_first_lasting_touch(pico: Machine
     event_times = EventTimes(pico)
 
     def act() -> None:
-        """Bounce three times, then close: watch_probe() reports the contact to noted."""
+        """Bounce three times, then close: watch_probe() reports the contact to event_times."""
         pico.pins()
         pico.port.watch_probe(event_times.on_contact, True)
         # Open for 60 us and closed for 5, three times.

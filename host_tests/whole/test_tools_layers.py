@@ -139,7 +139,7 @@ def test_a_package_imports_only_lower_packages() -> None:
 
 
 def test_a_package_uses_all_its_allowed_imports() -> None:
-    """ROOMS: the packages that each package may import; it must import all of them.
+    """PACKAGES: the packages that each package may import; it must import all of them.
 
     cli is left out: it may import all.
     """
@@ -159,7 +159,7 @@ def test_imports_have_no_cycle() -> None:
 
 
 def test_a_package_documents_its_purpose_and_its_imports() -> None:
-    """Its docstring has several paragraphs; the last one names the packages in ROOMS as `name`."""
+    """Its docstring has several paragraphs; the last one names the packages as `name`."""
     for name, lower in PACKAGES.items():
         docstring = ast.get_docstring(trees()[TOOLS / name / "__init__.py"])
         assert docstring and docstring.partition("\n\n")[2], f"{name}: purpose and imports"
