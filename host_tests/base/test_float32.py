@@ -14,7 +14,7 @@ def to_single(x: float) -> float:
 
 
 def printed(x: float, decimals: int) -> str:
-    """Follow Grbl's printFloat step by step in single precision."""
+    """Follow Grbl's printFloat step by step in single precision, up to 2**31."""
     minus = x < 0
     x = -x if minus else x
     for _ in range(decimals // 2):

@@ -22,7 +22,7 @@ SOURCE = inspect.getsource(module)
 
 def settings_at_start(store: "MemoryStore | None" = None, **board) -> Settings:
     """Return settings as they are at a start. board: defaults, max_step_hz, step_pulse_min_us."""
-    settings = Settings(store or MemoryStore(), 3, board.get("defaults", {}))
+    settings = Settings(store or MemoryStore(), axes=3, defaults=board.get("defaults", {}))
     settings.max_step_hz = board.get("max_step_hz", 0)
     settings.step_pulse_min_us = board.get("step_pulse_min_us", settings.step_pulse_min_us)
     settings.load()
@@ -94,7 +94,7 @@ def test_stored_value_comes_back(changes: "list[tuple[int, float]]") -> None:
             settings.set(number, amount)
         except GrblError:
             assert values_of(settings) == before
-    again = Settings(store, 3, {})
+    again = Settings(store, axes=3, defaults={})
     assert again.load()
     assert values_of(again) == values_of(settings)
 
@@ -197,13 +197,13 @@ def test_refused_change_is_not_notified(number: int, amount: float) -> None:
     assert numbers == []
 
 
-@pytest.mark.parametrize("kept", [None, ["$110=5x0"]])
-def test_defaults_after_unreadable_settings_are_notified_once(kept: object) -> None:
-    """kept: the stored lines; None: there are none."""
+@pytest.mark.parametrize("stored", [None, ["$110=5x0"]])
+def test_defaults_after_unreadable_settings_are_notified_once(stored: object) -> None:
+    """stored: the lines in the store; None: there are none."""
     store: Any = MemoryStore()
-    if kept:
-        store.files["settings"] = kept
-    settings = Settings(store, 3, {})
+    if stored:
+        store.files["settings"] = stored
+    settings = Settings(store, axes=3, defaults={})
     numbers = collect_changes(settings)
     assert not settings.load()
     assert numbers == [ALL]

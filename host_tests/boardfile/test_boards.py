@@ -108,11 +108,11 @@ def test_board_is_data_only(name: str) -> None:
         ({"PROBE": 23}, "PROBE: Raspberry Pi Pico has no pin 23 to connect to"),
         ({"ENABLE": (8, 30)}, "ENABLE: Raspberry Pi Pico has no pin 30 to connect to"),
         ({"ENABLE": (8, 4)}, "ENABLE: pin 4 is STEP already"),
-        ({"DIR": (5, 6)}, "DIR wants 3 pins, not 2"),
-        ({"STEP": (2, 3), "DIR": (5, 6), "LIMIT": None}, "STEP wants 3 pins, for XYZ"),
-        ({"STEP": (2, 3, 4, 8, 12, 20, 21)}, "pio has pulses for 6 motors at most"),
-        ({**OF_48, "STEP": tuple(range(19, 28))}, "pio has pulses for 8 motors at most"),
-        ({**EIGHT, "MOTORS": None}, "STEP has 8 pins and there are 6 axes: MOTORS says which"),
+        ({"DIR": (5, 6)}, "DIR needs 3 pins, not 2"),
+        ({"STEP": (2, 3), "DIR": (5, 6), "LIMIT": None}, "STEP needs 3 pins, for XYZ"),
+        ({"STEP": (2, 3, 4, 8, 12, 20, 21)}, "pio drives 6 motors at most"),
+        ({**OF_48, "STEP": tuple(range(19, 28))}, "pio drives 8 motors at most"),
+        ({**EIGHT, "MOTORS": None}, "STEP has 8 pins, but there are 6 axes: name the axis"),
         ({**EIGHT}, ""),
         ({**EIGHT, "STEP": (*range(13, 20), 32)}, "STEP: pin 32 cannot do it: steps, direct"),
         ({**EIGHT, "PROBE": 47}, "PROBE: pin 47 cannot do it: steps, directions, limits, probe"),
@@ -123,7 +123,7 @@ def test_board_is_data_only(name: str) -> None:
         ({**WIFI, "STEP": (19, 20, 21, 22), "DIR": (26, 27, 28, 6), "LIMIT": None}, ""),
         (
             {**WIFI, "STEP": (19, 20, 21, 22, 7), "DIR": (26, 27, 28, 6, 8), "LIMIT": None},
-            'TOOL = laser: with LINK = "wifi" it takes 4 motors at the most',
+            'TOOL = laser: LINK = "wifi" allows 4 motors at most',
         ),
         ({"CONTROL": (14,)}, "CONTROL needs four entries"),
         ({"SAFETY_DOOR": True}, "SAFETY_DOOR is set and there is no pin for the door"),
@@ -174,9 +174,9 @@ def test_board_is_data_only(name: str) -> None:
         ({"POWER_FAIL": 20, "POWER_FAIL_MS": 5}, "POWER_FAIL_MS is 5: it is 20 at the least"),
         ({"PAGE": True}, "PAGE: a Pico W has less than 40 kB of memory left with it: take"),
         ({"PAGE": True, "LINK": "wifi"}, "from `ugrbl web`, or a Pico 2 W or an ESP32"),
-        ({**PICO2_W, "LINK": "usb"}, 'PAGE: it wants a network, LINK = "wifi", or'),
+        ({**PICO2_W, "LINK": "usb"}, 'PAGE: it needs a network, LINK = "wifi", or'),
         (PICO2_W, ""),
-        ({"PAGE": True, "ENGINE": "sim", "MPY_ARCH": None}, "PAGE: it wants a network"),
+        ({"PAGE": True, "ENGINE": "sim", "MPY_ARCH": None}, "PAGE: it needs a network"),
         ({"PAGE": 1}, "PAGE is 1: it must be True or False"),
         ({"EXTRAS": ("nowhere",)}, "EXTRAS: No module named 'nowhere'"),
     ],
@@ -258,6 +258,7 @@ def test_pins_that_affect_the_start_are_reported() -> None:
     assert notes(board(DEFAULTS={100: 0, 110: 500, 130: 0})) == [
         "DEFAULTS: $100=0 means 0 steps/mm for X: it will not move as it should"
     ]
+    # 0 and 5 are outputs of its shift register, not pins
     assert not any("pin 0 " in text or "pin 5 " in text for text in notes(load_board("mks_dlc32")))
 
 

@@ -100,7 +100,9 @@ def test_eight_motors_need_an_axis_for_each(file: Path) -> None:
     wiring = (*pins, "--pin", "dir=8,9,10,11,12,13,14,15")
     result = ugrbl("router", *wiring, "-o", file)
     assert result.exit_code == 1
-    assert "STEP has 8 pins and there are 6 axes: MOTORS says" in " ".join(result.output.split())
+    assert "STEP has 8 pins, but there are 6 axes: name the axis" in " ".join(
+        result.output.split()
+    )
     result = ugrbl("router", *wiring, "--motors", "XYZABCYX", "--pin", "flood=47", "-o", file)
     assert result.exit_code == 0, result.output
     board: Any = load(file)
@@ -122,7 +124,7 @@ def test_rotary_axis_is_asked_for(file: Path) -> None:
     answers = ["", "X", "a", "4 5 6 7", *[""] * 13]
     result = ugrbl("router", *pins, "--ask", "-o", file, answers="\n".join(answers) + "\n")
     assert result.exit_code == 0, result.output
-    assert "X is none of A, B, C here" in result.output
+    assert "X is no rotary axis here" in result.output
     board: Any = load(file)
     assert board.ROTARY == "A"
 
@@ -153,7 +155,7 @@ def test_questions_are_repeated_until_the_answer_is_valid(file: Path) -> None:
         (("--chip", "pico"), "STEP is needed: --pin step=2,3,4"),
         (("--chip", "pico", "--pin", "step"), "step has no pins: write it as step=2,3,4"),
         (("--pin", "step=1"), "no chip is given"),
-        ((*_PICO, "--pin", "limit=9,10"), "LIMIT wants 3 pins, not 2"),
+        ((*_PICO, "--pin", "limit=9,10"), "LIMIT needs 3 pins, not 2"),
         ((*_PICO, "--pin", "probe=2"), "PROBE: pin 2 is STEP already"),
         (
             (*_PICO, "--pin", "limit=9,9,10"),
@@ -168,15 +170,15 @@ def test_questions_are_repeated_until_the_answer_is_valid(file: Path) -> None:
         ((*_PICO, "--title", 'my "best"'), "without quotation marks"),
         (
             ("--chip", "rp2040", "--pin", "step=0,1,2,3,4,5,6", "--pin", "dir=7,8,9"),
-            "pio has pulses for 6 motors at most",
+            "pio drives 6 motors at most",
         ),
         (
             ("--chip", "esp32", "--pin", "step=13,14,15,16,17", "--pin", "dir=25,26,27"),
-            "rmt has pulses for 4 motors at most",
+            "rmt drives 4 motors at most",
         ),
         (
             ("--chip", "esp32", "--pin", "step=34,13,14", "--pin", "dir=25,26,27"),
-            "pin 34 of ESP32 can only read",
+            "pin 34 of ESP32 is an input only: choose another",
         ),
         (
             ("--chip", "esp32", "--pin", "step=6,13,14", "--pin", "dir=25,26,27"),

@@ -55,7 +55,7 @@ def options_read_by(tree: ast.AST) -> Iterator[Read]:
     """Yield the options that a module reads.
 
     The forms are option("X", 1), getattr(board, "X", 1), hasattr(…), board.X, board.__dict__["X"],
-    and the table of extras.
+    and the tables _ORDER (of extras) and PINS.
     """
     for node in ast.walk(tree):
         match node:
@@ -83,7 +83,7 @@ def options_read_by(tree: ast.AST) -> Iterator[Read]:
 def default_value(node: ast.expr, tree: ast.Module) -> Any:
     """Return the value of a default; it may be a constant of its module (tree)."""
     for statement in tree.body:
-        match node, statement:
+        match node, statement:  # X = 5, or X = const(5)
             case ast.Name(name), ast.Assign([ast.Name(defined)], assigned) if name == defined:
                 number = assigned.args[0] if isinstance(assigned, ast.Call) else assigned
                 return ast.literal_eval(number)
@@ -147,7 +147,8 @@ def test_row_is_complete(option: Option) -> None:
 def test_options_checked_as_pins_are_pins_in_the_table() -> None:
     """checked: options that engines, the pin check and extras treat as pins."""
     kinds = (PIN, PINS, PIN_OR_PINS, NAMED_PINS)
-    pins = {option.name for option in OPTIONS if option.kind in kinds} - {"NO_PULL_UP"}
+    pins = {option.name for option in OPTIONS if option.kind in kinds}
+    pins -= {"NO_PULL_UP"}  # repeats pins of other options
     checked = {name for engine in engines.engines().values() for name in engine.pins}
     checked |= {*pin_check._NAMES.split(), *job_commands.PINS, *punch.PINS, *tmc2209.PINS}
     checked |= {*power_fail.PINS}
@@ -169,8 +170,9 @@ def test_engine_rate_matches_the_rate_at_its_shortest_pulse() -> None:
     classes."""
     engine_table, no_engine = engines.engines(), cast("Any", None)
     assert engine_table["pio"].most_hz == PioEngine.max_step_hz(no_engine, 3)  # 3 us
-    frames = SimpleNamespace(_rate_hz=125_000, _frames_of=lambda us: 2)  # 2 frames: 16 us
-    assert engine_table["i2s"].most_hz == i2s.I2sEngine.max_step_hz(cast("Any", frames), 16)
+    # pulses of 16 us: 2 frames
+    engine: Any = SimpleNamespace(_rate_hz=125_000, _frames_of=lambda us: 2)
+    assert engine_table["i2s"].most_hz == i2s.I2sEngine.max_step_hz(engine, 16)
     rates = {
         board.MAX_STEP_RATE_HZ for board in map(load_board, boards()) if board.ENGINE == "rmt"
     }

@@ -51,7 +51,7 @@ def is_fault(kind: str) -> bool:
 
 
 def calls_in(node: ast.AST) -> Iterator[str]:
-    """Yield the calls made while the machine runs: not those of modules, classes and makers."""
+    """Yield the name of each call in a function, except those in makers defined inside it."""
     for child in ast.iter_child_nodes(node):
         if isinstance(child, ast.FunctionDef) and is_building(child.name):
             continue

@@ -230,7 +230,7 @@ def test_unreadable_file_is_one_message_with_file_and_line(command: str, text: s
     reason = BROKEN[text].replace(
         "is already in use", "is already used" if "check" in command else "is already in use"
     )
-    if "check" in command:  # check first reads what needs no run
+    if "check" in command:  # it finds these without an exception, so it names none
         reason = reason.replace("mine.py: ValueError: ", "").replace(
             "ModuleNotFoundError", "no board has a module nothing_of_that_name"
         )
@@ -245,7 +245,7 @@ WRONG_WORDS = [
     ("--custom empty", "empty: there is no .py file in this folder"),
     ("--custom package", "__init__.py: remove it"),
     ("--input part", "write NAME=WHEN"),
-    ("--input part=soon", "WHEN is on, off, a place (Z-30) or a time (2s)"),
+    ("--input part=soon", "WHEN is on, off, a position (Z-30) or a time (2s)"),
     ("--input part=on", "there is no input part; there are probe, limit_x"),
     ("--input probe=A1", "this machine has no axis A"),
     ("--input probe=Z0", "the input closes: Z<0 or Z>0"),

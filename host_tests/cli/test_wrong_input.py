@@ -240,8 +240,10 @@ def test_program_is_read_from_stdin_and_result_written_to_stdout(
     done = ugrbl(command, "-", "--json", "-", stdin=_GOOD)
     assert done.exit_code == 0, done.output
     result = json.loads(done.stdout)
-    result = result if command == "run" else result["jobs"][0]
-    assert result["bounds_mm"]["X"][1] == pytest.approx(1) if command == "run" else result
+    if command == "run":
+        assert result["bounds_mm"]["X"][1] == pytest.approx(1)
+    else:
+        assert result["jobs"][0]
     assert "stdin" in done.stderr  # the report for people, with the name of the input
     assert (folder / "stdin.html").exists() == (command == "plot")
     assert not (folder / "-").exists() and not (folder / "-.html").exists()

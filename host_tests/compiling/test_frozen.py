@@ -1,6 +1,8 @@
 """Test firmware frozen into MicroPython.
 
-What manifest.py includes, and how the tools treat a board that has it.
+What manifest.py includes, and how the tools treat a board that has it. ugrbl_uf2() runs `ugrbl
+uf2`; load() drags a file onto the flash of a chip, after_a_drag() onto a used one, and returns its
+flash and its files; put() deploys to a FakeBoard, and clears the board's log before.
 """
 
 import ast
@@ -85,8 +87,8 @@ def test_each_file_has_the_name_that_micropython_looks_for(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["rpi_pico", *_ARM])
 def test_native_code_of_a_pico_starts_with_its_length(name: str) -> None:
-    """rewritten() calls a function with each native code: two halfwords, an ARM branch (0xE000)
-    and the length of the rest, precede the code."""
+    """rewritten() calls a function with each native code, which begins with two halfwords: an ARM
+    branch (0xE000), and the length of the code after them."""
     heads = []
 
     def note_head(code: bytes) -> bytes:
@@ -283,11 +285,11 @@ def test_frozen_needs_a_board(tmp_path: Path) -> None:
 
 
 def frozen_program(frozen: str) -> Flash:
-    """Return a MicroPython image with frozen firmware of this id, whose end is not on a page
-    boundary."""
+    """Return a MicroPython image with frozen firmware of this id (marker), which begins and ends
+    within a page."""
     flash = program()
     marker = f"ugrbl frozen: {frozen}".encode() + b"\0"
-    data = b"\xe9" * 37 + marker
+    data = b"\xe9" * 37 + marker  # 37 other bytes before it
     for start in range(0, len(data), PAGE):
         flash.pages[flash.end] = data[start : start + PAGE].ljust(PAGE, b"\4")
     return flash
@@ -307,7 +309,7 @@ def test_uf2_with_keep_leaves_the_file_system_unchanged(
     """First an image with board files is loaded; then one made with --keep, which has MicroPython
     only."""
     out = tmp_path / "all.uf2"
-    chip = used_chip(2 << 20, 3)
+    chip = used_chip(size=2 << 20, seed=3)
     of_all = ugrbl_uf2("--micropython", str(image), "-o", str(out))
     assert of_all.exit_code == 0, of_all.output
     load(chip, out.read_bytes())

@@ -120,14 +120,15 @@ def test_machine_code_matches_viper(board: Board) -> None:
     # 32 bits, signed
     assert board.call(("made", "wraps"), a, b) == (wrapped + 2**31) % 2**32 - 2**31
     words = array("i", [6, 7, 8])
-    assert board.call(("made", "mixed"), words, 2, 3) == 13 + 2  # 1, 3 make 13; a and k: 2
+    # total: digits 1 and 3; (a and k) is k
+    assert board.call(("made", "mixed"), words, 2, 3) == 13 + 2
     assert list(words) == [7, 7 | -1 << 16, 11]  # 6 | 1; the upper half of words[1] set; 8 + 3
     assert board.call(("made", "none")) == 0x7FFFFFFF
 
 
 def test_address_may_be_passed_as_a_pointer(board: Board) -> None:
-    """through() passes the address of words[1] to mixed(): 13 + (a and k, 1), and share(7, 2) =
-    1003."""
+    """through() passes the address of words[1] to mixed(), which returns 13 + k (1), and adds
+    share(7, 2) = 1003."""
     words = array("i", [1, 2, 3])
     assert board.call(("made", "through"), words, 1) == 13 + 1 + 1003
     assert list(words) == [1, 3, 3 + 3 | -1 << 16]
@@ -161,13 +162,13 @@ def test_machine_code_runs_at_any_address(arch: str) -> None:
 
 def test_only_requested_kernels_are_linked() -> None:
     """Machine code of one kernel is less than a fifth of that of all."""
-    c, keys = kernels_of("armv6m")
+    c_text, keys = kernels_of("armv6m")
     fill = ("motion.segment_kernel", "fill")
     one_size, full_size = (
-        len(machine_code.linked(c, "armv6m", tuple(wanted))) for wanted in ([fill], keys)
+        len(machine_code.linked(c_text, "armv6m", tuple(wanted))) for wanted in ([fill], keys)
     )
     assert one_size < full_size / 5
-    assert list(Board(c, [fill]).functions) == [fill]
+    assert list(Board(c_text, [fill]).functions) == [fill]
 
 
 def test_compiler_refusal_is_reported() -> None:

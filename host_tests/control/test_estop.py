@@ -1,7 +1,8 @@
 """Test the emergency stop: it stops everything, and prevents unlocking while it is pressed.
 
 machine.send_and_wait(line, until) discards earlier output, sends a line and waits for a text in
-the output, which received_text() returns. push() sets inputs.
+the output, which received_text() returns. push() sets inputs. A script yields a condition, or the
+tick at which it is resumed; machine.ms(n) is the tick n ms from now.
 """
 
 from collections.abc import Callable, Iterator
@@ -17,7 +18,7 @@ PRESSED, RELEASED = {"estop": False}, {"estop": True}  # level of the pin: norma
 
 
 class Machine(Rig):
-    """A simulated machine with an emergency stop."""
+    """A simulated machine with an emergency stop. settings: _22=1 is $22=1."""
 
     def __init__(self, **settings: float) -> None:
         module = ModuleType("board")
@@ -113,7 +114,7 @@ def test_machine_unlocks_normally_after_estop_in_an_alarm_is_released() -> None:
     """With homing enabled ($22) the machine starts in alarm, where a press causes no new reset.
 
     `$X` must enable motors and tool again, which otherwise the reset does."""
-    machine = Machine(s22=1)
+    machine = Machine(_22=1)
 
     def script() -> Iterator[Any]:
         """Press and release while the machine is locked; then unlock and move."""

@@ -1,4 +1,7 @@
-"""Test the last pause of $H ($26), in which a door no longer ends it by an alarm."""
+"""Test the last pause of $H ($26), in which a door no longer ends it by an alarm.
+
+A script yields a condition, or the tick at which it is resumed; rig.ms(n) is n ms from now.
+"""
 
 from collections.abc import Iterator
 from functools import cache
@@ -16,7 +19,7 @@ _ALL_AXES = 7  # their mask
 def machine_with_switches() -> Machine:
     machine = Machine(_HOMING, watched=False)
     for axis, letter in enumerate("xyz"):
-        switch = Switch(f"limit_{letter}", axis, True, _FIRST_SWITCH_STEPS)
+        switch = Switch(f"limit_{letter}", axis, above=True, steps=_FIRST_SWITCH_STEPS)
         machine.rig.engine.switches.append(switch)
     return machine
 
@@ -42,7 +45,7 @@ def duration() -> int:
 @pytest.mark.parametrize("opens", [b"\x84", b"!\x84"], ids=["door", "hold and door"])
 @pytest.mark.parametrize("before_end_us", range(-1000, 23000, 1500))
 def test_door_at_the_end_of_homing_can_be_closed(before_end_us: int, opens: bytes) -> None:
-    """Either it is in time for ALARM:7, or the machine waits for `~` and is then homed."""
+    """Either 0x84 (door) is in time for ALARM:7, or the machine waits for `~` and is homed."""
     machine = machine_with_switches()
     rig = machine.rig
 

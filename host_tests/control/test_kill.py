@@ -1,4 +1,7 @@
-"""Test kill() between any two bytecodes that switch a tool: it goes off, and stays off."""
+"""Test kill() between any two bytecodes that switch a tool: it goes off, and stays off.
+
+let_pass(us) lets time pass: on an RP2, a new PWM value takes effect at the end of a period.
+"""
 
 import sys
 from collections.abc import Callable, Iterator
@@ -47,14 +50,13 @@ class Bench:
         self.port.rest(levels=2)  # levels when off, a bit per output: only PUNCH_UP is high
 
     def outputs(self) -> "dict[str, int]":
-        """Return for each output its difference from off: 0 to 65535, on the simulator as
-        it is."""
+        """Return for each output its difference from off: 0 to 65535; on the simulator, the port's
+        own values."""
         port = self.port
         if self.chip == "sim":
             names = ("spindle_on", "spindle_pwm", "spindle_dir", "flood", "mist")
-            # The punch is down while the simulator's spindle has a speed.
             by_name = {name: int(getattr(port, name)) for name in names}
-            return {**by_name, "down": port._direction > 0}
+            return {**by_name, "down": port._direction > 0}  # the punch moves down
         by_name = {}
         for name, pin in {**OUTPUTS, "PUNCH_DOWN": 21}.items():
             by_name[name] = self.level(pin) ^ (0xFFFF if name in self.inverted else 0)

@@ -2,7 +2,8 @@
 
 A phase is one probing move with a hold and a contact, each at a time in ms after its start. The
 move ends where the braking that began first ends; that place is compared with a move that is
-stopped only once.
+stopped only once. A script yields a condition, or the tick at which it is resumed; rig.ms(n) is
+the tick n ms from now.
 """
 
 from collections.abc import Iterator
@@ -50,7 +51,8 @@ STOPS = (
 
 
 class Bench(Machine):
-    """A machine that probes repeatedly from the same place. top_steps: its Z in steps."""
+    """A machine that probes repeatedly from the same place. top_steps: its Z in steps, from which
+    z_steps() counts."""
 
     def __init__(self, stop: Stop) -> None:
         settings = {**_FAST, 22: 1} if stop.parks else _FAST
@@ -85,11 +87,11 @@ class Bench(Machine):
         self.rig.link.send(self.stop.send.encode("latin-1"))
 
     def resume(self) -> Script:
-        """Close the door and resume with `~`; wait until the machine is idle."""
+        """Release the pin of the hold and resume with `~`; wait until the machine is idle."""
         yield self.rig.ms(40)  # the delay before the hold is complete ($1)
         if self.stop.pin:
             self.rig.port.push({self.stop.pin: False})
-            yield self.rig.ms(30)  # the main loop sees the door closed
+            yield self.rig.ms(30)  # the main loop sees it
         yield from self.say(_RESUME, "ms 30")
         yield self.idle
 
@@ -229,9 +231,9 @@ def test_contact_that_ends_before_motion_resumes_is_ignored(stop: Stop) -> None:
             bench.set_probe(touches)
             yield bench.rig.ms(50)  # several checks of the probe
         yield from bench.say(_RESUME, "ms 1")
-        if bench.stop.pin:
+        if bench.stop.pin:  # an open door prevents that: close it, and resume again
             bench.rig.port.push({bench.stop.pin: False})
-            yield bench.rig.ms(30)  # the main loop sees the door closed
+            yield bench.rig.ms(30)  # the main loop sees it
             bench.rig.link.send(_RESUME.encode())
         yield lambda: bench.z_steps() < held_at_steps - 20  # resumed: it moves down again
         z_at_contact = bench.z_steps()

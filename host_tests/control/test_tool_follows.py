@@ -1,7 +1,8 @@
 """Test that the tool does what was asked for and reported: overrides, holds, doors, settings.
 
 Tool.play() does steps: it sends lines (text) and real-time bytes, and waits so many ms (numbers).
-It returns state, speed and power at the PWM pin as shown after each step.
+It returns state, speed and power at the PWM pin as shown after each step. settle: ms of silence at
+the end of a wait.
 """
 
 from collections.abc import Generator, Iterator
@@ -167,7 +168,7 @@ def test_held_laser_is_dark_after_a_start_that_a_hold_prevents(
         for step in steps:
             yield from tool.do_step(step)
         link.send(b"~")
-        yield gap_us * rig.ticks_per_ms // 1000
+        yield rig.ms(gap_us / 1000)
         link.send(b"!")
         for _ in range(3):
             yield rig.ms(400)  # until the machine has reacted
@@ -188,11 +189,13 @@ def test_setting_that_darkens_a_laser_leaves_it_dark_after_it_is_stored(line: st
         """Switch the laser on, change a setting with a store like that of a board, and record."""
         yield from tool.machine.start()
         store: Any = tool.machine.rig.store
-        before, after = tool.machine.rig.controller.around_saves(lambda ms: None, None)
+        before, after = tool.machine.rig.controller.around_saves(
+            allow=lambda ms: None, written=None
+        )
         save = store.save
 
         def around(name: str, lines: "list[str]") -> None:
-            """Do as a board's store, which is given both functions."""
+            """Do as a board's store, which calls both functions around a write."""
             before()
             save(name, lines)
             after()

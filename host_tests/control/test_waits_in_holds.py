@@ -3,7 +3,8 @@
 A motion is followed by such a command, and `!` comes in the last 200 ms of the motion. During the
 hold no part of the command is executed; after `~` pins, reports, modes, position and stored data
 are the same as without a hold. Each motion is tried with some commands at some instants;
-UGRBL_TORTURE=1 tries each with all of them at every millisecond.
+UGRBL_TORTURE=1 tries each with all of them at every millisecond. A script yields a condition, or
+the tick at which it is resumed; rig.ms(n) is the tick n ms from now.
 """
 
 import os
@@ -108,7 +109,7 @@ COMMANDS = (
 )
 
 
-# These change the coordinates or the unit of the position.
+# These change the coordinates or the unit of the position: reported and made steps may differ.
 _NEW_PLACES = ("$H", "$100=200")
 
 # The faults found first: the laser burned on, the spindle stopped, flash was written during
@@ -146,12 +147,14 @@ class Trial:
         self._command = command
         self._hold_ms = hold_ms
         self._held = held
-        self.machine = Machine({**_FAST, **motion.settings}, _board(motion.options), False)
+        settings = {**_FAST, **motion.settings}
+        self.machine = Machine(settings, _board(motion.options), watched=False)
         self.rig = self.machine.rig
         self.rig.engine.switches += [
-            Switch(f"limit_{name}", axis, False, _SWITCH_STEPS) for axis, name in enumerate("xyz")
+            Switch(f"limit_{name}", axis, above=False, steps=_SWITCH_STEPS)
+            for axis, name in enumerate("xyz")
         ]
-        self.begun_ms = self.moved_ms = 0.0  # without a hold: when motion begins and ends
+        self.begun_ms = self.ended_ms = 0.0  # without a hold: when motion begins and ends
         self.before: "dict[str, Any]" = {}
         self.in_hold: "dict[str, Any]" = {}
         self.at_last: "dict[str, Any]" = {}
@@ -176,7 +179,7 @@ class Trial:
             yield rig.moving
             self.begun_ms = (rig.now - sent_at) / rig.ticks_per_ms
             yield lambda: not rig.moving()
-            self.moved_ms = (rig.now - sent_at) / rig.ticks_per_ms
+            self.ended_ms = (rig.now - sent_at) / rig.ticks_per_ms
         else:
             yield sent_at + int(self._hold_ms * rig.ticks_per_ms)
             yield from self._hold()
@@ -250,11 +253,11 @@ def check_with_hold(name: str, command: str, hold_ms: float, held: str = "") -> 
     in_hold, at_last = trial.in_hold, trial.at_last
     if in_hold["run"] == st.HOLD:
         check_agreement(in_hold, is_laser, f"held: {where}")
-        if in_hold["steps"] != without_hold(name, "").at_last["steps"]:  # it was still to move
+        if in_hold["steps"] != without_hold(name, "").at_last["steps"]:  # not the end
             assert in_hold["stored"] == trial.before["stored"], f"stored in the hold: {where}"
             assert _tool(in_hold) == _tool(trial.before), f"done in the hold: {where}"
     for state in (in_hold, at_last):
-        if command not in _NEW_PLACES and name != "backlash":  # no report includes these
+        if command not in _NEW_PLACES and name != "backlash":  # its steps are not reported
             assert state["reported steps"] == state["steps"], f"place: {where}"
     check_agreement(at_last, is_laser, where)
     for item in at_last:
@@ -266,7 +269,7 @@ def hold_times_ms(name: str, rng: random.Random, count: int) -> "list[float]":
     """Return times of `!` in ms after the lines are sent: one in the last 200 ms, the rest in the
     last, risky part of it. With UGRBL_TORTURE: every ms of the last 200."""
     unheld = without_hold(name, "")
-    idle_ms = unheld.moved_ms + _AFTER_MS
+    idle_ms = unheld.ended_ms + _AFTER_MS
     before_end_ms: Sequence[float] = range(_LAST_MS)
     if not _EVERY:
         before_end_ms = [rng.random() * span for span in [_LAST_MS, *[_RISKY_MS] * (count - 1)]]
@@ -301,7 +304,7 @@ def test_spindle_stopped_in_hold_obeys_waiting_command(command: str) -> None:
 
 @pytest.mark.parametrize("command", ["M3S700", "$1=50", "G10L2P1X1", "$H", "G4P1"])
 def test_reset_in_hold_aborts_waiting_command(command: str) -> None:
-    end = without_hold("line", "").moved_ms
+    end = without_hold("line", "").ended_ms
     # hold 20 ms before the motion would end; 0x18: reset
     trial = Trial(MOTIONS["line"], command, end - 20, held="\x18").run()
     assert trial.in_hold["run"] == st.HOLD

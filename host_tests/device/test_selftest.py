@@ -321,13 +321,13 @@ REFUSED = {
     "an ESP32-S2": ({"about_it": PICO._replace(machine="Module with ESP32S2")}, "is no RP2040"),
     "shift registers": (
         {"about_it": ESP32, "wired": WIRED_ESP._replace(engine="i2s")},
-        "steps behind shift registers: no pin of the chip shows them",
+        "steps in external shift registers, where the chip cannot",
     ),
     "seven motors": (
         {"wired": WIRED._replace(motors=7)},
         "7 motors (a laser's beam counts as one) leave",
     ),
-    "an engine of elsewhere": ({"about_it": ESP32, "wired": WIRED}, "ENGINE 'pio' is none"),
+    "an engine of elsewhere": ({"about_it": ESP32, "wired": WIRED}, "count steps of ENGINE 'pio'"),
     "no PCNT": (
         {"about_it": ESP32, "wired": WIRED_ESP._replace(has_pcnt=False)},
         "has no esp32.PCNT",

@@ -210,7 +210,7 @@ def stop_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
     """Forget the steps of an unfinished train."""
 
     def forget(lanes: Any, axis: int, playing: Any, now: int) -> int:
-        return int(lanes[rmt._LANE * axis])
+        return int(lanes[rmt._LANE * axis + rmt._PLACE])  # where the train began
 
     monkeypatch.setattr(rmt, "_place", forget)
 
@@ -363,7 +363,7 @@ def test_counter_turns_its_pin_into_an_input_and_counts_after_start(
     """mode_high=1: while the DIR pin is high, it counts down."""
     step, direction = pins
     unit = esp32.PCNT(0, pin=step, mode_pin=direction, rising=1, mode_high=1, min=-9, max=9)
-    base = esp_machine.mem32.first & ~0xFFF
+    base = esp_machine.mem32.first & ~0xFFF  # of the GPIO registers
 
     def make_pulses(count: int) -> None:
         for level in (1, 0) * count:
@@ -374,7 +374,7 @@ def test_counter_turns_its_pin_into_an_input_and_counts_after_start(
     unit.start()
     make_pulses(3)
     assert unit.value() == 0  # the pin is an input
-    # GPIO_ENABLE_W1TS: both pins are outputs again
+    # GPIO_ENABLE_W1TS: both pins, 16 and 26, are outputs again
     esp_machine.mem32[base + 0x24] = 1 << 26 | 1 << 16
     make_pulses(3)
     assert unit.value() == 3

@@ -100,7 +100,8 @@ class FakeGrbl(threading.Thread):
             self.say(f"<{self.state},MPos:{position},WPos:{position}>")
         else:
             drains = self.drains[0] if self.drains else 0
-            del self.drains[: len(self.drains) > 1]
+            if len(self.drains) > 1:
+                del self.drains[0]
             underrun_field = f"|Dr:{drains}" if drains else ""
             report = f"<{self.state}|MPos:{position}|FS:0,0{underrun_field}>"
             if self.reports_after_answers and self._waiting:
@@ -113,11 +114,11 @@ class FakeGrbl(threading.Thread):
         self.realtime += byte
         if byte == FEED_HOLD:
             self.state = "Hold" if self.old else "Hold:0"
-            self._braking = 4 if self.old else 0
+            self._braking = 4 if self.old else 0  # the fourth report from now shows 0
         elif byte == CYCLE_START:
             self.state = "Idle"
         elif byte == RESET:
-            self.place_at_reset = self._braking
+            self.braking_at_reset = self._braking
             self.state = "Idle"
             self._waiting = b""
             self.say("\r\nGrbl 1.1h ['$' for help]")
@@ -572,7 +573,7 @@ def test_grbl_0_9_is_understood(view: Watcher) -> None:
 
 
 def test_grbl_0_9_is_reset_only_after_it_has_stopped(view: Watcher) -> None:
-    """A reset in motion loses steps; place_at_reset: how many reports it still had to brake."""
+    """A reset in motion loses steps; braking_at_reset: reports for which it still had to brake."""
     grbl = FakeGrbl(old=True)
     grbl.start()
     connection = Connection(grbl.port)
@@ -583,7 +584,7 @@ def test_grbl_0_9_is_reset_only_after_it_has_stopped(view: Watcher) -> None:
     stream.run()
     connection.close()
     grbl.stop()
-    assert grbl.place_at_reset == 0
+    assert grbl.braking_at_reset == 0
 
 
 def test_override_keys_are_sent_only_to_grbl_1_1(grbl: FakeGrbl, view: Watcher) -> None:

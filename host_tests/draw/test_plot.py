@@ -128,10 +128,11 @@ def test_power_of_the_tool_is_recorded() -> None:
 
 
 def lettering() -> list[bytes]:
-    """Return lines of small letters with rapids between them, and a hole that no line crosses."""
+    """Return lines that cut 40 circles of 1 mm radius, with rapids between them; each is 4 mm from
+    the next in X, 5 mm in Y. The first one's centre is X-1 Y0."""
     lines = ["G21 G90", "M3 S1000"]
-    for letter in range(40):
-        x, y = 4 * (letter % 8), 5 * (letter // 8)
+    for number in range(40):
+        x, y = 4 * (number % 8), 5 * (number // 8)
         lines += ["G0 Z1", f"G0 X{x} Y{y}", "G1 Z-1 F900"]
         angles = [n * math.pi / 20 for n in range(41)]
         lines += [f"G1 X{x + math.cos(a) - 1:.4f} Y{y + math.sin(a):.4f} F900" for a in angles]
@@ -168,12 +169,12 @@ def test_longer_segments_of_a_long_job_change_neither_path_nor_time(monkeypatch:
     for totals in (job.result.totals for job in (fine, coarse)):
         assert totals.steps_made == totals.steps_planned == fine.result.totals.steps_planned
     # Every point of the fine path lies on the coarse one, in the same line of the program.
-    moves = [(job.motion.lines, job.motion.points) for job in (fine, coarse)]
     for line in range(1, len(lines) + 1, 7):
-        (of_fine,), (of_coarse,) = (np.nonzero(numbers == line) for numbers, _ in moves)
+        of_fine, of_coarse = (np.flatnonzero(job.motion.lines == line) for job in (fine, coarse))
         if len(of_fine):
-            path = moves[1][1][of_coarse[0] - 1 : of_coarse[-1] + 1]
-            assert max(distance_to_path(point, path) for point in moves[0][1][of_fine]) < 0.01
+            path = coarse.motion.points[of_coarse[0] - 1 : of_coarse[-1] + 1]
+            points = fine.motion.points[of_fine]
+            assert max(distance_to_path(point, path) for point in points) < 0.01
 
 
 def distance_to_path(point: Any, path: Any) -> float:
@@ -360,6 +361,7 @@ def test_impossible_drawing_is_refused_with_the_reason(
     done = ugrbl(program, "-o", program.with_name("out.png"), *words)
     assert done.exit_code == 1 and isinstance(done.exception, SystemExit)
     assert "".join(why.split()) in "".join(done.output.split())
+    # "lines" would be in the result
     assert "--set" in words or "--board" in words or "lines" not in done.output, "before the work"
     assert program.read_bytes() == before
 
@@ -481,6 +483,7 @@ def test_page_draws_itself_in_a_browser_without_a_network(program: Path) -> None
     assert done.exit_code == 0, done.output
     assert page.stat().st_size < 3_000_000
     results = open_in_browser(page)
+    # traces: names of the curves in the drawings space, flat and time
     assert results["traces"][0][:2] == ["cuts", "rapids"] and len(results["traces"][2]) == 16
     assert "rapids" in results["traces"][1]
     assert results["points"] > 30 and results["canvases"] > 0

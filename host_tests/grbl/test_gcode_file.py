@@ -37,9 +37,8 @@ def test_a_latin_1_comment_is_sanitized() -> None:
 def test_comments_never_contain_realtime_characters_after_sanitizing(line: bytes) -> None:
     line = line.replace(b"\n", b"").replace(b"\r", b"")
     found_problems = problems([line])
-    if (
-        not found_problems or found_problems[0].in_comment
-    ):  # a problem outside comments is refused, not sanitized
+    # a problem outside comments is refused, not sanitized
+    if not found_problems or found_problems[0].in_comment:
         assert not has_realtime(sanitize(line))
 
 

@@ -78,7 +78,7 @@ def test_a_file_appended_to_another_is_corrupted() -> None:
     """Why uf2.write() fills sectors: 20 pages end within a sector, the next ones are elsewhere,
     and the ROM corrupts some. uf2_model shows it."""
     pages = {BASE + PAGE * n: bytes([n]) * PAGE for n in (*range(20), *range(160, 176))}
-    data = b"".join(
+    data = b"".join(  # without the magic numbers and flags, which uf2_model ignores
         struct.pack("<8I", 0, 0, 0, address, PAGE, number, len(pages), RP2040)
         + page.ljust(480, b"\0")
         for number, (address, page) in enumerate(pages.items())
@@ -163,7 +163,8 @@ def read_back(image: bytes) -> "dict[str, bytes]":
 
 
 def used_chip(size: int, seed: int) -> bytearray:
-    """Return a file system after long use: each block has been written."""
+    """Return flash of this size (bytes) that was a file system in long use: each block has been
+    written."""
     random = Random(seed)
     context = littlefs.UserContext(size)
     disk = littlefs.LittleFS(context=context, block_size=SECTOR, block_count=size // SECTOR)
@@ -241,7 +242,7 @@ def small_build(**files: bytes) -> Build:
 
 def after_a_drag(data: bytes) -> "tuple[bytes, Mapping[str, bytes]]":
     """Return the flash and the files in it after the file was dragged to a used board."""
-    chip = used_chip(2 * _MIB, 3)
+    chip = used_chip(2 * _MIB, seed=3)
     uf2_model.load(chip, data)
     file_system_at = _START - BASE
     return bytes(chip), read_back(bytes(chip[file_system_at : file_system_at + _SIZE]))

@@ -23,10 +23,10 @@ class RecordingInterpreter:
 
     def __init__(self) -> None:
         self.canon, self.voice, store = FakeCanon(), FakeVoice(), FakeStore()
-        settings = Settings(store, 3, {})
+        settings = Settings(store, axes=3, defaults={})
         settings.load()
-        self.modes, self.coords = Modes(3), Coords(store, 3, 2)
-        block, state = Block(b"XYZ", True, True), State()
+        self.modes, self.coords = Modes(3), Coords(store, axes=3, length_axis=2)
+        block, state = Block(b"XYZ", has_mist=True, has_override_control=True), State()
         state.hooks.probe, state.hooks.write_offsets = self._probe, self.coords.write
         machine: Any = SimpleNamespace(
             modes=self.modes,
@@ -37,7 +37,7 @@ class RecordingInterpreter:
             spindle=SimpleNamespace(laser=False),
             report=self.voice,
         )
-        self.interpreter = Interpreter(machine, block, False)
+        self.interpreter = Interpreter(machine, block, line_numbers=False)
         self.interpreter.watch(MOVE)  # without it the kernels would plan lines unseen
 
     def _probe(self, *_: object) -> bool:

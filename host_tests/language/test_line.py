@@ -41,7 +41,7 @@ class Bench:
         settings = self.machine.settings
         settings.laser_mode, settings.max_rpm, settings.min_rpm = int(laser), max_rpm, min_rpm
         self.machine.configure()
-        self.machine.planner.override()
+        self.machine.planner.override()  # sets its factors, 100 %
         self.machine.canon.service = self.machine.planner.clear  # a waiting caller finds space
         self.machine.motor_control.start = self.machine.state.enter  # type: ignore[method-assign]
         if not by_kernels:

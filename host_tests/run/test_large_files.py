@@ -152,9 +152,9 @@ def sent_one_by_one(
 def test_many_lines_at_once_give_the_same_result_as_single_lines(
     seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    draw = random.Random(seed)
+    rng = random.Random(seed)
     simple = [f"G1 X{n}" for n in range(5)] + [f"Y{n} F{n}00 S{n}" for n in range(5)]
-    texts = [draw.choice(MESSY if draw.random() < 0.4 else simple) for _ in range(500)]
+    texts = [rng.choice(MESSY if rng.random() < 0.4 else simple) for _ in range(500)]
     if seed == 0:  # without real-time characters, which end a stretch of lines checked at once
         texts = [text for text in texts if text not in ("?", "(!)", "~")]
     lines = [text.encode() for text in texts]

@@ -235,7 +235,7 @@ def test_kernel_raises_where_a_fault_would_be_silent(tmp_path: Path) -> None:
     ):
         with pytest.raises(error):
             compiled_kernels["parts"](wrong_tuple)
-    # 1, 3 (total 13); a and k: 1; -3 % 7: 4; -3 // 7: -1; not a: 0
+    # total 13, of digits 1 and 3; (a and k) is k: 1; -3 % 7: 4; -3 // 7: -1; not a: 0
     assert compiled_kernels["mixed"](words, 1, 3) == 13 + 1 + 4 - 1
     assert list(words) == [5, 9]  # words[1] = 6 + 3; q[4] is its lowest byte
     assert compiled_kernels["at"](memoryview(words)[1:], 0) == 9

@@ -136,8 +136,8 @@ def test_lines_are_classified_by_their_path_through_the_firmware(
     line: bytes, before: bytes, kind: str
 ) -> None:
     """kind: name in rates.py of the rate that limits `line`, if `before` precedes it."""
-    modal = [b"G1X3F100", before, line]
-    assert list(pace._kinds(modal, laser=True))[2] == kind
+    lines = [b"G1X3F100", before, line]
+    assert list(pace._kinds(lines, laser=True))[2] == kind
 
 
 def test_an_s_without_laser_mode_may_change_the_spindle() -> None:
@@ -147,6 +147,7 @@ def test_an_s_without_laser_mode_may_change_the_spindle() -> None:
 def test_a_serial_line_limits_the_rate_of_bytes() -> None:
     """USB (esp32_s3) is in time, 115200 baud (esp32_devkit) is not."""
     lines = [b"G91F9000", *[b"G1X0.20000000Y0.00000000"] * 600]
+    # 5 steps/mm, because these boards allow 5000 steps/s
     settings = ["$100=5", "$101=5", "$102=5", *FAST]
     assert stretches(lines, settings, "esp32_s3") == []
     worst = stretches(lines, settings, "esp32_devkit")[0]

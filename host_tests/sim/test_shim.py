@@ -421,7 +421,7 @@ def test_the_cached_function_depends_on_its_current_constants(
     entry."""
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(micropython, "_ROOT", tmp_path)
-    (tmp_path / "firmware").mkdir()
+    (tmp_path / "firmware").mkdir()  # only a checkout has a cache
     (tmp_path / "kept_function.py").write_text(_KEPT)
     (tmp_path / "kept_numbers.py").write_text("AT = 1\n")
     function, numbers = import_module("kept_function"), import_module("kept_numbers")

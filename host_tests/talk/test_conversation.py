@@ -1,7 +1,8 @@
 """Grbl's output and its timing in surprising cases: see ../shared/GRBL-FACTS.md.
 
 bench.say(text, how) sends text and returns the lines received until it is answered ("ok"), the
-machine is idle ("idle", the default), a report or banner has come, or after a time ("ms 100").
+machine is idle ("idle", the default), a report or banner has come, or after a time ("ms 100"). A
+script yields the tick at which it is resumed; rig.ms(n) is the tick n ms from now.
 """
 
 from collections.abc import Iterator

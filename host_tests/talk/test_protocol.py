@@ -1,4 +1,7 @@
-"""The protocol loop in corner cases: which bytes are read, and which are dropped."""
+"""The protocol loop in corner cases: which bytes are read, and which are dropped.
+
+A script yields a condition, or the tick at which it is resumed; rig.ms(n) is n ms from now.
+"""
 
 import itertools
 from collections.abc import Iterator
@@ -54,7 +57,7 @@ class Loop:
             motor_control=self.motor_control,
             restart=self._restart,
         )
-        self.protocol = Protocol(machine, self.link, False)
+        self.protocol = Protocol(machine, self.link, echoes=False)
 
     def _feed(self, buf: bytearray, count: int) -> None:
         self.fed += buf[:count]
@@ -226,7 +229,7 @@ class Miscounting:
         self.sent = self.counted = self.most_unanswered = 0
 
     def send_next(self) -> None:
-        """Count an answer, and send lines while at most 120 bytes count as unanswered."""
+        """Count an answer, and send lines while fewer than 120 bytes count as unanswered."""
         del self.unanswered_lengths[:1]
         while self.sent < len(self.lines):
             line = self.lines[self.sent]

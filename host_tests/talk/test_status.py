@@ -33,7 +33,7 @@ def bits(x: float) -> int:
 def write_form(form: bytes, values: "list[int]", singles: "list[float]") -> str:
     """Return write()'s output for these values, after an `a`."""
     out = bytearray(b"a" + bytes(200))
-    ints = array("i", [1, *values, 0])
+    ints = array("i", [1, *values, 0])  # ints[END]: length so far, 1 for the `a`
     end = write(form, out, ints, array("f", [*singles, 0.0]))
     assert end == ints[END]
     return out[1:end].decode()
@@ -51,9 +51,9 @@ def write_form(form: bytes, values: "list[int]", singles: "list[float]") -> str:
 @example(-1, 1e8)
 @example(0, 250.0)
 def test_steps_are_divided_like_floats(number: int, resolution: float) -> None:
-    """The steps are rounded to single precision, then the quotient; the first of both numbers
-    stays."""
+    """The steps are rounded to single precision, then the quotient."""
     quotients = vector(2)
+    # divisors from index 1 on: 7 / 1, and number / resolution
     divide(array("i", [7, number]), array("f", [9, 1, resolution]), 1, quotients, 2)
     assert list(quotients) == [7, f32(f32(number) / resolution)]
 
@@ -137,7 +137,7 @@ def test_a_rate_is_rounded_like_printed_floats(join_speed: int, row_speed: int) 
     the block's row."""
     # a valid minifloat: exponent below 100, highest bit of the mantissa set
     join_speed = join_speed % (100 << 15) | 0x4000 if join_speed else 0
-    planner = Planner(3, 4, None, State())
+    planner = Planner(axes=3, blocks=4, kinematics=None, state=State())
     segments = Segments(planner)
     planner.flow[layout.JOIN_SPEED] = join_speed
     rate = 60 * minifloat.value(segments.rate())
@@ -242,7 +242,7 @@ def test_a_report_allocates_no_memory() -> None:
     """Each line: bytes allocated, and the report; the script asks for all, with Ov, with WCO, and
     with WPos."""
     lines = run_micropython(_BENCH, paths=[FIRMWARE]).splitlines()
-    rate = round(0x4321 * 60 / 256)  # mm/min of flow[9], the speed between blocks
+    rate = round(0x4321 / 2**8 * 60)  # mm/min of flow[9] (JOIN_SPEED): 0x4321 * 2**(56 - 64) mm/s
     position = "MPos:4.936,-709.875,0.000"
     common = f"|Bf:15,255|FS:{rate},0|Pn:PXZRS"
     assert lines == [
