@@ -128,7 +128,7 @@ def check_excluded(extra: "Extra", board: "ModuleType") -> None:
     excluded: "tuple[str, ...]" = getattr(extra, "EXCLUDED", ())
     for word in excluded[1:]:
         if board.__dict__.get(word):
-            raise ValueError("%s and %s are not for the same machine" % (excluded[0], word))
+            raise ValueError("%s and %s cannot be combined" % (excluded[0], word))
 
 
 def pin_options(board: "ModuleType") -> "tuple[str, ...]":

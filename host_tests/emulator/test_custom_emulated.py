@@ -13,7 +13,7 @@ from ugrbl.compiling import build
 
 pytestmark = pytest.mark.xdist_group("pico custom")
 
-_PATIENCE = {"UGRBL_PATIENCE": "30", "COLUMNS": "200"}
+_ENVIRONMENT = {"UGRBL_PATIENCE": "30", "COLUMNS": "200"}  # time limits * 30; no wrapped lines
 _EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "custom"
 _FILE = """\
 from ugrbl import mcode
@@ -29,7 +29,7 @@ def ugrbl(*words: object) -> "subprocess.CompletedProcess[str]":
     """Run the command `ugrbl` with these words; return its exit code and output."""
     command = [sys.executable, "-m", "ugrbl.cli", *map(str, words)]
     return subprocess.run(
-        command, env={**os.environ, **_PATIENCE}, capture_output=True, text=True, check=False
+        command, env={**os.environ, **_ENVIRONMENT}, capture_output=True, text=True, check=False
     )
 
 
@@ -49,6 +49,7 @@ def test_file_is_pushed_runs_fails_and_is_removed(uf2: Path, tmp_path: Path) -> 
             assert "[MSG:-1.00]" in ask(machine, "M100 P1")
             assert any("custom.py, line 6" in line for line in ask(machine, "M100 P2"))
             ask(machine, "$X")
+        # It watches the inputs for 0 s.
         done = ugrbl("doctor", "--port", port, "--json", "-", "--no-move", "--pins", "0")
         (finding,) = [
             row for row in json.loads(done.stdout)["findings"] if row["what"] == "custom.py"
@@ -93,7 +94,7 @@ def test_folder_replaces_a_file_and_a_folder(uf2: Path, tmp_path: Path) -> None:
 
 
 def test_three_examples_do_what_they_say(uf2: Path, tmp_path: Path) -> None:
-    """talks: per example, lines to send and words that must be among their answers."""
+    """talks: per example, each line to send and the lines that its answer must contain."""
     board = tmp_path / "router.py"
     pins = 'OUTPUTS = {"air": 20, "lamp": 21, "fan": 26}\nINPUTS = {"part": 27, "door": 28}\n'
     board.write_text(BOARD_FILE.read_text() + "\n" + pins)

@@ -22,9 +22,10 @@ pytestmark = pytest.mark.xdist_group("pico deploy")
 
 _HERE = Path(__file__).parent
 # The emulator is 20 to 50 times slower than the chip, and more on a busy computer: an ESP32 takes
-# 19 s to its welcome on two cores with three processes, and took more than 150 s with fifteen.
+# 19 s to its welcome on two cores with three processes, and took more than 150 s with fifteen. So
+# all time limits of ugrbl are 30 times as long.
 _PATIENCE = {"UGRBL_PATIENCE": "30"}
-_BOOT_S = 1000.0
+_LIMIT_S = 1000.0
 # The running machine must keep as much memory again as the lines of a program take.
 _FREE_BYTES = 30_000
 
@@ -32,12 +33,12 @@ _FREE_BYTES = 30_000
 @contextmanager
 def pico(uf2: Path, folder: Path, files: "build.Build | None" = None) -> "Iterator[Path]":
     """Start a board with these files, or with none; yield its serial port."""
-    link, there = folder / "pico", folder / "there"
-    there.mkdir()
+    link, board_folder = folder / "pico", folder / "board"
+    board_folder.mkdir()
     if files:
-        save(files, there)
-    command = [sys.executable, str(_HERE / "pty_bridge.py"), str(uf2), str(link), str(there)]
-    bridge = subprocess.Popen(command)
+        save(files, board_folder)
+    bridge_words = map(str, (_HERE / "pty_bridge.py", uf2, link, board_folder))
+    bridge = subprocess.Popen([sys.executable, *bridge_words])
     try:
         until = time.monotonic() + 30
         while not link.exists():
@@ -68,10 +69,10 @@ def mpremote(port: Path, *words: str) -> str:
 
 @contextmanager
 def grbl(port: Path) -> "Iterator[Connection]":
-    """Yield a connection to the machine, after its first status report."""
+    """Yield a connection to the machine, after its first status report; wait_for() sends "?"."""
     connection = Connection(str(port))
     try:
-        assert connection.wait_for(lambda line: line.startswith("<"), _BOOT_S)
+        assert connection.wait_for(lambda line: line.startswith("<"), _LIMIT_S)
         yield connection
     finally:
         connection.close()
@@ -82,7 +83,7 @@ def ask(machine: Connection, line: str) -> "list[str]":
     flash."""
     replies: list[str] = []
     machine.write(line.encode() + b"\n")
-    assert machine.wait_for(lambda reply: replies.append(reply) or is_answer(reply), _BOOT_S)
+    assert machine.wait_for(lambda reply: replies.append(reply) or is_answer(reply), _LIMIT_S)
     return replies
 
 
@@ -113,7 +114,7 @@ def test_empty_board_is_deployed_and_updated(uf2: Path, tmp_path: Path) -> None:
 
 
 def test_mpremote_enters_and_leaves_the_prompt(uf2: Path, tmp_path: Path) -> None:
-    """While the machine is idle; it lists files there, and the machine starts again."""
+    """While the machine is idle. At the prompt it lists files; then the machine starts again."""
     with pico(uf2, tmp_path, build.for_board(BOARD_FILE)) as port:
         with grbl(port):
             pass  # it has started
@@ -127,7 +128,7 @@ def test_mpremote_enters_and_leaves_the_prompt(uf2: Path, tmp_path: Path) -> Non
 
 @contextmanager
 def grbl_started_anew(port: Path) -> "Iterator[Connection]":
-    """Restart with Ctrl-D at the prompt, which a Connection would not send to a machine."""
+    """Restart with Ctrl-D at the prompt; a Connection leaves out bytes that Grbl does not know."""
     with serial.Serial(str(port)) as line:
         line.write(b"\x04")
     with grbl(port) as machine:

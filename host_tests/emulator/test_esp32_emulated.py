@@ -21,7 +21,7 @@ pytestmark = pytest.mark.xdist_group("esp32")
 _BOARD = BOARDS / "esp32_devkit.py"
 _ARCH = "xtensawin"
 _CONVERSATIONS = Path(__file__).resolve().parents[3] / "shared" / "conformance"
-_SOME = 20  # conversations of a kind, at least
+_SOME = 20  # more conversations than this are played
 _BLOCKS = 2  # of RMT's memory for each channel; a channel has the number of its first block
 
 
@@ -54,17 +54,17 @@ def vectors_and_kernels() -> "dict[str, bytes]":
         if name in texts and name not in needed:
             needed[name] = texts[name]
             to_visit += build.imported(texts[name])
-    compiled = build.compiled(_ARCH, Apart(needed, "", {}))
+    compiled = build.compiled(_ARCH, Apart(texts=needed, c="", pieces={}))
     return {build.path_of(name): code for name, code in compiled.items()}
 
 
 def signed_sums(steps: "list[Step]") -> "list[int]":
     """Return the sum of the steps of each axis, with their signs."""
     sums = [0, 0, 0]
-    direction = load_board("esp32_devkit").DIR
+    dir_pins = load_board("esp32_devkit").DIR
     for step in steps:
         axis = step.channel // _BLOCKS
-        sums[axis] += -1 if step.levels >> direction[axis] & 1 else 1
+        sums[axis] += -1 if step.levels >> dir_pins[axis] & 1 else 1
     return sums
 
 

@@ -19,6 +19,7 @@ pytestmark = pytest.mark.xdist_group("frozen")
 __all__ = ["frozen_uf2"]
 
 # The emulated chip is 20 to 50 times slower than silicon, so the page's timeouts are made longer.
+_MOST_MS = 20 * 60 * 1000
 _SLOWER = """
 const soon = window.setTimeout;
 window.setTimeout = (act, ms, ...more) => soon(act, ms >= 1000 ? 40 * ms : ms, ...more);
@@ -60,12 +61,12 @@ class Port:
 def person(frozen_uf2: Path, tmp_path: Path) -> Iterator[Person]:
     """Yield a person at the page in a browser, whose serial port is an emulated Pico's.
 
-    The Pico has frozen firmware, and no file.
+    The Pico has frozen firmware, and no file. _SLOWER makes the page's own timeouts longer.
     """
     with pico(frozen_uf2, tmp_path) as path, browser() as opened:
         port: Any = Port(path)
         context = opened.new_context(bypass_csp=True)
-        context.set_default_timeout(1_200_000)
+        context.set_default_timeout(_MOST_MS)
         page = context.new_page()
         page.add_init_script(_SLOWER)
         yield Person(page, port, Bridge(port), tmp_path)
@@ -74,7 +75,7 @@ def person(frozen_uf2: Path, tmp_path: Path) -> Iterator[Person]:
 
 def wait_until(person: Person, condition: str) -> None:
     """Wait up to 20 minutes until this condition of JavaScript holds in the page."""
-    person.page.wait_for_function(f"() => {condition}", timeout=1_200_000)
+    person.page.wait_for_function(f"() => {condition}", timeout=_MOST_MS)
 
 
 @pytest.mark.timeout(3600)

@@ -23,8 +23,7 @@ _HEAP_PLAIN, _HEAP_BLOCKS, _HEAP_ALL = 330_000, 310_000, 210_000
 _MORE = f"PLANNER_BLOCKS = {_BLOCKS}\n"
 _PAGE = 'CHIP, LINK, PAGE, JOBS = "pico2_w", "wifi", True, "jobs"\n'
 _PER_MM = 250  # Grbl's default
-# Length of the cycle of each axis's positions, in tenths of a millimetre.
-_TENTHS = (3, 2, 4, 5, 3, 2)
+_TENTHS = (3, 2, 4, 5, 3, 2)  # n of each axis: line k of _JOB moves it to (k % n) / 10 mm
 _JOB = "".join(
     "G1" + "".join(f"{axis}.{k % n}" for axis, n in zip("XYZABC", _TENTHS, strict=True)) + "F500\n"
     for k in range(1, 30)

@@ -14,8 +14,8 @@ from ugrbl.compiling import build
 pytestmark = [pytest.mark.xdist_group("pico card"), needs_micropython]
 
 _SCRIPT = Path(__file__).parents[1] / "support" / "fat_image.py"
-_BLOCKS = 8192
-_BUS, _PINS = 1, (26, 27, 28, 21)
+_BLOCKS = 8192  # of 512 bytes
+_BUS, _PINS = 1, (26, 27, 28, 21)  # SPI 1: SCK, MOSI, MISO, CS
 _SETTINGS = ("$100=100", "$101=100", "$110=6000", "$111=6000", "$120=500", "$121=500")
 _LINES = 150
 # Stack reserve in bytes. MicroPython's FAT goes deeper than the 2 kB limit allows, and the number
@@ -118,15 +118,15 @@ def test_removed_card_stops_the_job_and_another_card_runs(uf2: Path, tmp_path: P
 
 
 def test_file_sent_over_the_line_is_readable_by_a_computer(uf2: Path, tmp_path: Path) -> None:
-    """It replaces one of the same name, at 15 kB/s or more. Then the board reads and runs it.
+    """It replaces one of the same name, at 15 kB/s or more. Then the board checks it ($C).
 
-    Two of three blocks arrive damaged there: it reads them again.
+    Of the blocks that the board reads, two of three arrive damaged: it reads them again.
     """
     card = card_with(tmp_path, {"part.nc": b"G4P0\n"})
     machine = start_with_card(uf2, tmp_path, card)
     push_us = push(machine, "PART.NC", _JOB)
-    rate = len(_JOB) / push_us * 1000
-    assert rate >= 15, "kB/s"
+    kb_per_s = len(_JOB) / push_us * 1000
+    assert kb_per_s >= 15
     card.damage = lambda block: bytes([block[0] ^ 16]) + block[1:] if card.read % 3 else block
     assert files_on(tmp_path, card) == {"part.nc": _JOB}  # the name keeps its case
     machine.clear_output()

@@ -230,7 +230,7 @@ def fails_above(m):
 def test_outputs_switch_and_make_pulses_until_a_reset(uf2: Path, tmp_path: Path) -> None:
     """There are as many outputs as a stack light has; a reset forces all of them off.
 
-    M110 switches two, M111 makes pulses of 5000 Hz with a duty of P at a third.
+    M110 switches two of them. M111 makes pulses of 5000 Hz with the duty P at a third one.
     """
     pins = {"red": 20, "lamp": 21, "fan": 26, "horn": 27}
     file = tmp_path / "light.py"
@@ -292,7 +292,7 @@ def told(m):
 
 
 def start_and_measure(uf2: Path, words: "bytes | None") -> "tuple[Talk, float]":
-    """Start a board with this custom.py; return it and its highest rate of short moves, 1/s."""
+    """Start a board with this custom.py, or none; return it and its rate of short moves, 1/s."""
     talk = Talk(EmulatedWire(Board(uf2, {"custom.py": words}).boot().settled()))
     set_up(talk)
     # 63 blocks are in the planner. Objects that are created once exist afterwards.

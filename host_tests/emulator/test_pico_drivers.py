@@ -15,7 +15,7 @@ pytestmark = pytest.mark.xdist_group("pico drivers")
 _BOARD = load_board("btt_skr_pico")
 _UART = 1  # the UART of TMC_UART's pins
 _BIT_US = 1e6 / 115200
-_DELAY_BITS = 24
+_DELAY_BITS = 24  # from a request to a driver's answer
 _RECEIVED = 1 << 4  # in the UART's mask of interrupts
 _SETTINGS = (
     *("$110=6000", "$111=6000", "$112=3000", "$120=500", "$121=500", "$122=200"),
@@ -29,7 +29,7 @@ class Wire:
     """Driver models at the UART; bytes take the time of a wire at 115200 baud."""
 
     def __init__(self, pico: Pico) -> None:
-        self.bus = model.DriverBus(_BOARD.TMC2209, lambda: True)
+        self.bus = model.DriverBus(_BOARD.TMC2209, is_idle=lambda: True)  # in_motion is not used
         self._pico = pico
         self._uart = pico.mcu.uart[_UART]
         self._sent = bytearray()
@@ -105,7 +105,6 @@ def test_steps_are_made_within_the_stack(machine: Machine) -> None:
     """While drivers are polled, and after a change of a current ($140), which is sent to one."""
     stack = Stack(machine.board)
     stack.start_measuring()  # shows later how deep the stack was
-    machine.odometer.read()
     machine.board.ask("$X")
     machine.board.ask("G91 G1 X1 Y-2 Z.5 F3000")
     machine.board.ask("G4P.5")

@@ -190,7 +190,7 @@ def test_machine_that_cannot_be_built_reports_the_cause_on_request(
     # "ok" and "error" would be taken for answers to lines.
     assert cause in answer and "ok" not in answer and "rror" not in answer
     assert not machine.pico.edges
-    assert machine.python("print(2 + 2)", "") == "4\r\n"
+    assert machine.python("print(2 + 2)", prompt="") == "4\r\n"
 
 
 @pytest.mark.parametrize(
@@ -214,10 +214,10 @@ def test_damaged_settings_file_is_reported_and_factory_settings_apply(uf2: Path)
 
 
 def files_that_fill_flash() -> "dict[str, bytes]":
-    """Return files that leave no space: one takes all blocks, the others fill the folder."""
+    """Return files that leave no space: one takes all blocks, and empty ones fill the folder."""
     files: dict[str, bytes] = {}
     for name, size in (("filler", BLOCK), ("0" * 240, 0), ("0" * 30, 0), ("0", 0)):
-        fits, too_many = 0, CHIP.blocks  # bisected
+        fits, too_many = 0, CHIP.blocks  # numbers of blocks or empty files, bisected
         while too_many - fits > 1:
             count = (fits + too_many) // 2
             try:

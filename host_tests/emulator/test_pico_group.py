@@ -75,7 +75,7 @@ class Run:
         self.pico.record([*STEP, *DIRECTION, CAMERA])
         self.pico.drive(SWITCH, 1)
         self._seen, self._sign, self._y = 0, 1, 0  # edges evaluated; y's direction and steps
-        assert self.pico.run_until(self._update_switch, _LIMIT_US, 1000), self.text
+        assert self.pico.run_until(self._update_switch, _LIMIT_US, step_us=1000), self.text
         self.pico.run_us(100_000)
 
     @property
@@ -95,7 +95,7 @@ class Run:
         return "END" in self.text or "Error" in self.text
 
     def values_of(self, word: str) -> "list[str]":
-        """Return the words after the first one, which is that one, in its line of the output."""
+        """Return the other words of the line of the output that begins with this word."""
         lines = [line.split() for line in self.text.splitlines()]
         rests = [line[1:] for line in lines if line[:1] == [word]]
         assert len(rests) == 1, self.text
@@ -127,8 +127,8 @@ def test_the_program_counts_the_steps_that_the_pins_make(run: Run) -> None:
 
 
 def test_moves_and_waits_of_tasks_are_those_of_the_simulator(run: Run) -> None:
-    """FIRST is printed when a move of x to 2 units has ended, STOPPED after a stop on its way to
-    50; a unit has 80 steps."""
+    """FIRST is printed when a move of x to 2 units has ended, of 80 steps each. STOPPED is printed
+    after a stop on its way to 50, which makes the place of the stop its target."""
     assert 160 <= int(run.values_of("FIRST")[0]) <= 161
     steps, at_target = run.values_of("STOPPED")
     assert at_target == "True" and 160 < int(steps) < 50 * 80

@@ -1,9 +1,10 @@
 """Test stops and holds of all kinds at random instants on the emulated Pico.
 
-The machine is streaming. At some instant a limit switch closes, the reset or the hold button is
-pressed, or a Ctrl-X or a `!` arrives. After a stop the last edge on a step pin or the spindle's
-pin comes within the time in docs/faults.md. The reset that follows ends in a machine that works
-and whose position is right, counted from the edges. A hold loses no step.
+In a life the machine streams a program. In a trial, at some instant of a life, a limit switch
+closes, the reset or the hold button is pressed, or a Ctrl-X or a `!` arrives. After a stop the
+last edge on a step pin or the spindle's pin comes within the time in docs/faults.md. The reset
+that follows ends in a machine that works and whose position is right, counted from the edges. A
+hold loses no step.
 
 A trial costs 2 CPU seconds, because it is a future of a machine that keeps streaming. A thousand
 of them is `make torture-board`. A failed trial is repeated alone by the seed that it names:
@@ -72,7 +73,7 @@ def _play_forked(
     life: Life, trials: "list[Trial]", seeds: "Collection[int]", send: "Callable[[Outcome], None]"
 ) -> None:
     """Stream past the instants of all trials, and run each trial with one of the seeds in a forked
-    process. tell() passes its outcome to the parent."""
+    process. send() passes its outcome to the parent."""
     life.start()
     with futures() as play:
         for trial in trials:
@@ -112,7 +113,7 @@ def _outcomes(
 def test_stop_or_hold_at_any_instant_keeps_all_laws(
     machine: Board, odometer: Odometer, played: "list[Outcome]", number: int
 ) -> None:
-    """number: of the life. The laws are in the module's docstring; trouble: a broken one."""
+    """number: of the life. The laws are in the module's docstring; trouble: the broken one."""
     trials = _trials(number)
     seeds = {trial.seed for trial in trials}.intersection(_SEEDS)
     outcomes = _outcomes(lambda: Life(machine, odometer, number), trials, seeds)

@@ -50,7 +50,7 @@ def test_steps_are_those_planned(machine: Board, board_file: Path) -> None:
 
 
 def test_move_starts_within_the_limit_of_jerk(machine: Board) -> None:
-    """In the first 50 ms acceleration grows by half of the allowed jerk: 10000 mm/s3.
+    """In the first 50 ms jerk is half of the limit, 10000 mm/s3 (docs/jerk.md), later less.
 
     So the distance is at most jerk * time**3 / 6, plus 10 %.
     """

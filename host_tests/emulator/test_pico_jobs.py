@@ -39,7 +39,8 @@ _JOB = (
 def push(machine: Board, name: str, data: bytes) -> float:
     """Send a file as `ugrbl job push` does; return the time it takes, in us.
 
-    $FU announces name, size and checksum; the board asks for each piece by its offset.
+    $FU announces name, size and checksum; the board asks for each piece by its offset,
+    and reads its lines, of packed bytes in base64, up to an empty one.
     """
     machine.clear_output()
     begun_us = machine.pico.us

@@ -160,7 +160,7 @@ def check_power_places(
     assert max(off_steps) < 0.05
 
 
-_MORE = """
+_MORE_MOTORS = """
 STEP += (19, 20, 21)[:%d]
 DIR += (26, 27, 28)[:%d]
 LIMIT = LIMIT + (None,) * (len(STEP) - 3)
@@ -171,11 +171,11 @@ LIMIT = LIMIT + (None,) * (len(STEP) - 3)
 def test_power_changes_at_its_step_with_four_and_six_motors(
     uf2: Path, motors: int, other_words: str
 ) -> None:
-    """The beam's machine is then one of PIO 1; with six motors it is the last free one.
+    """The beam's state machine is then one of PIO 1; with six motors it is the last free one.
 
     A reset switches the beam off for good; afterwards it works again.
     """
-    file = for_this_chip(BOARDS / "pico_laser.py", _MORE % (motors - 3, motors - 3))
+    file = for_this_chip(BOARDS / "pico_laser.py", _MORE_MOTORS % ((motors - 3,) * 2))
     # fromkeys(): None instead of each file of the common board.
     files = {**dict.fromkeys(firmware()), **build.for_board(file).files}
     machine = Board(uf2, files).boot().settled()
@@ -211,7 +211,7 @@ def start_dots(machine: Board, beam: Beam, mode: str) -> None:
     send_when_idle(machine, beam, *["X1S1000:900:800:700:600:500"] * 4)
     machine.pico.run_us(45_000)
     last_level = beam.changes[-1][1]
-    assert last_level >= 500
+    assert last_level >= 500  # of _FULL, which is 6250 or more
 
 
 STOP_ACTIONS = {
@@ -269,8 +269,8 @@ def test_hold_is_dark_and_dots_continue_after_it(machine: Board, beam: Beam, mod
 
 @pytest.fixture(scope="module")
 def board_and_beam(uf2: Path) -> "tuple[Board, Beam]":
-    """Return a second machine, with two commands that MAIN adds: $OUT switches the laser off,
-    $DEAF blocks interrupts for 30 ms."""
+    """Return a second machine, with two commands of MAIN_WITH_COMMANDS: $OUT switches the laser
+    off, $DEAF blocks interrupts for 30 ms."""
     machine = (
         Board(uf2, {**files_of("pico_laser"), "main.py": MAIN_WITH_COMMANDS}).boot().settled()
     )

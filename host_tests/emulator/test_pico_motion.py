@@ -36,7 +36,7 @@ _HOLD_US = 2
 def machine(uf2: Path) -> Board:
     """Return a machine, set up, its motor pins recorded.
 
-    USER adds commands: $BLOCK blocks the main loop for 200 ms, $COLLECT collects garbage for
+    USER_MAIN adds commands: $BLOCK blocks the main loop for 200 ms, $COLLECT collects garbage for
     150 ms, $PRINT sends 200 messages.
     """
     made = Board(uf2, {"main.py": USER_MAIN}).boot().settled()

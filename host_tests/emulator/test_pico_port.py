@@ -96,7 +96,7 @@ def test_storm_on_a_limit_input_is_limited_to_one_call_in_2_ms(machine: Board) -
 def test_inputs_are_handled_in_hard_interrupts_that_allocate_nothing(machine: Board) -> None:
     """All inputs close (the emergency stop opens), then all change back.
 
-    heard: calls for limits, controls, faults, and the probe.
+    heard: calls for limits, controls, faults, and the probe when it closes (True).
     """
     machine.python_again("heard[:] = bytes(4)\nport.watch_probe(lambda: note(3), True)")
     for pin, level in ((LIMIT[1], 0), (RESET, 0), (PROBE, 0), (ESTOP, 1)):

@@ -13,15 +13,15 @@ from test_pico_jobs import _JOB, _SETTINGS, dragged_flash, home, push, start_wit
 pytestmark = pytest.mark.xdist_group("pico jobs")
 
 _PIN = 20
-_PAGE_US = 3_000
-_LASTS_US = 100_000
+_PAGE_US = 3_000  # to program a page of flash
+_LASTS_US = 100_000  # the supply, after the edge
 _REPORT = re.compile(
     r"Job STAIRS.NC: power failed at line (\d+), position certain: "
     r"X(-?[\d.]+) Y(-?[\d.]+) Z(-?[\d.]+)\]"
 )
 # The emulator has no contact to hold this pin; without a pull-up it reads low, as if closed.
 _OPTIONS = f"POWER_FAIL = {_PIN}\nNO_PULL_UP = ({_PIN},)"
-_BRISK = tuple(line.replace("=500", "=1000") for line in _SETTINGS)
+_BRISK = tuple(line.replace("=500", "=1000") for line in _SETTINGS)  # acceleration, travel
 
 
 def test_supply_that_fails_in_a_job_leaves_its_exact_line(uf2: Path, tmp_path: Path) -> None:

@@ -49,7 +49,7 @@ def odometer(machine: Board) -> Odometer:
 def test_line_takes_the_time_of_its_linear_axes(machine: Board, odometer: Odometer) -> None:
     """10 mm at 10 mm/s with 360 degrees; then 45 degrees back at 90 degrees per second."""
     for line, seconds in (("G91 G1 X10 A360 F600", 1.0), ("A-45 F5400", 0.5)):
-        odometer.read()
+        odometer.read()  # clears the edges
         machine.ask(line)
         machine.ask("G4P.01", limit_us=3_000_000)
         a_ns = [e.ns for e in machine.pico.edges if e.pin == _GANTRY.STEP[3] and e.level]

@@ -128,9 +128,9 @@ def _check_rate(machine: Machine, khz: float) -> None:
     tracks = [machine.step_times_us(motor) for motor in range(6)]
     middle_us = (tracks[0][0] + tracks[0][-1]) / 2
     for track in tracks:
-        gaps_us = [b - a for a, b in pairwise(track) if abs(a - middle_us) < 5_000]  # us
+        gaps_us = [b - a for a, b in pairwise(track) if abs(a - middle_us) < 5_000]
         assert 1e3 * len(gaps_us) / sum(gaps_us) == pytest.approx(khz, rel=4e-4)
-        assert min(gaps_us) >= 1e3 // khz - _SEEN_US
+        assert min(gaps_us) >= 1e3 // khz - _SEEN_US  # the period is 4.0005 or 2 us
     after = machine.odometer.read()
     assert [b - a for a, b in zip(before, after, strict=True)] == [46 * _PER_MM] * 6
     assert machine.reported_steps() == after
@@ -217,7 +217,7 @@ def _interrupt_share(board: Board, axes: int) -> float:
     (idle_count,) = _numbers(board.ask(f"$COUNT={_COUNTED_US}"))
     board.ask("G91 G1 X1.5 F900")  # 0.1 s in which the short ones are planned
     for k in range(14):
-        axis_mm = _MOVE_MM * (1 + k % 3) / 2 / axes**0.5
+        axis_mm = _MOVE_MM * (1 + k % 3) / 2 / axes**0.5  # of moves of 0.025 to 0.075 mm
         board.ask("".join(f"{letter}{axis_mm:.3f}" for letter in _LETTERS[:axes]))
     (moving_count,) = _numbers(board.ask(f"$LATER={_COUNTED_US}"))
     board.until_idle()

@@ -150,7 +150,7 @@ def deviations(
     assert stated and len(stated) in (1, len(names)), f"{cell!r} is for {names}"
     faults = []
     for name, (figure, rounding) in zip(names, cycle(stated)):  # one figure may stand for all
-        if not name:
+        if not name:  # this figure is not measured
             continue
         result = found[name] * scale
         allowed = _WORSE * figure + (_BYTES if "bytes" in cell else rounding)

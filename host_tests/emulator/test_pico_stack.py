@@ -24,9 +24,8 @@ _NESTED_RESERVE = 1792  # if the deepest of all occurred together, which was nev
 _PATTERN = 0x2A2A2A2A  # the pattern of firmware/pio/stack.py: both find the same paint
 _GUARD = 64  # bytes below the stack pointer that are not painted
 
-# Numbers in IPSR; no other interrupt has a higher priority than the first three.
-_IRQ = 16
-TIMER, ENGINE, PIN = CHIP.irqs
+_IRQ = 16  # number of IRQ 0 in IPSR
+TIMER, ENGINE, PIN = CHIP.irqs  # no other interrupt has a higher priority
 _SAMPLE_US = 0.1  # a few instructions
 _PIO0 = 0x50200000  # its low bits: running machines
 
@@ -48,9 +47,9 @@ class Stack:
     def __init__(self, board: Board) -> None:
         self._pico = board.pico
         self.main = {False: 0, True: 0}  # deepest, in bytes, by whether the engine runs
-        self.starts = 0  # deepest of the engine's starting interrupt, with the stack below it
-        self.irqs: dict[int, int] = {}  # deepest of each interrupt, by its number
-        self.marks: dict[str, int] = {}  # used() by scenario
+        self.starts = 0  # deepest of ENGINE when it starts the engine, with the code it interrupts
+        self.irqs: dict[int, int] = {}  # deepest of each interrupt alone, by its IRQ
+        self.marks: dict[str, int] = {}  # most_used() by scenario
 
     def start_measuring(self) -> None:
         """Fill the free stack with the pattern."""
@@ -85,7 +84,7 @@ class Stack:
             while self._pico.us < end:
                 run_us(_SAMPLE_US)
                 pointer, number = self._pico.stack()
-                if not number:
+                if not number:  # no interrupt: the main loop
                     nested.clear()
                     if TOP - pointer > min(self.main.values()):
                         runs = self._runs()
@@ -159,7 +158,7 @@ def unlock(machine: Board) -> None:
     """Release the inputs and unlock the machine after an alarm."""
     for pin in (LIMIT[0], RESET, HOLD):
         machine.pico.drive(pin, 1)
-    machine.pico.run_us(30_000)  # a button has its own welcome
+    machine.pico.run_us(30_000)  # a button resets the machine itself
     machine.clear_output()
     machine.send("\x18")
     machine.wait_for("Grbl 1.1h")

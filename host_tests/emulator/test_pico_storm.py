@@ -71,21 +71,21 @@ class Storm:
         self._us_by_level = (closed_us, open_us)
         self._level = 1
         self._end_us = 0.0
-        self.began = 0.0
+        self.began_us = 0.0
 
     def start(self, delay_us: float, duration_us: float) -> None:
         """Begin after delay_us and continue for duration_us; the pins are open at the end."""
-        self.began = self._pico.us + delay_us
-        self._end_us = self.began + duration_us
-        self._pico.at_us(delay_us, self._turn)
+        self.began_us = self._pico.us + delay_us
+        self._end_us = self.began_us + duration_us
+        self._pico.at_us(delay_us, self._change_level)
 
-    def _turn(self) -> None:
+    def _change_level(self) -> None:
         """Change the level of the pins, and plan the next change; 1 is open."""
         self._level = 1 if self._pico.us >= self._end_us else 1 - self._level
         for pin in self._pins:
             self._pico.drive(pin, self._level)
         if self._pico.us < self._end_us:
-            self._pico.at_us(self._us_by_level[self._level], self._turn)
+            self._pico.at_us(self._us_by_level[self._level], self._change_level)
 
 
 def run_move(board: Board) -> "list[float]":
@@ -118,7 +118,7 @@ STORMED = {"one": (PART,), "all": (PART, DOOR, START, *LIMIT, PROBE)}
 def test_no_step_is_late_in_a_storm(
     ready: Board, calm_steps_us: "list[float]", pins: "tuple[int, ...]", edges_us: int
 ) -> None:
-    """Within 2 us of the times without a storm (calm). edges_us: from edge to edge."""
+    """Within 2 us of the times without a storm, calm_steps_us. edges_us: from edge to edge."""
     Storm(ready, pins, open_us=edges_us, closed_us=edges_us).start(
         delay_us=40_000, duration_us=STORM_US
     )
@@ -152,7 +152,7 @@ def test_limit_in_a_storm_stops_at_its_first_edge(ready: Board) -> None:
     storm = Storm(ready, LIMIT[:1], open_us=20, closed_us=20)
     storm.start(delay_us=60_000, duration_us=STORM_US)
     ready.wait_for("Reset to continue")
-    assert max(edge.ns / 1000 for edge in ready.pico.edges) - storm.began <= 300
+    assert max(edge.ns / 1000 for edge in ready.pico.edges) - storm.began_us <= 300
     assert "ALARM:1\r\n" in ready.output and beam_is_dark(ready)
 
 

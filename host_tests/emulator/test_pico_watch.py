@@ -122,7 +122,7 @@ _REOPENED: "dict[str, tuple[list[int | None], list[int | None]]]" = {
     "Linux, coding last": ([0], [3, None]),
     "Windows": ([1, 0], [0, None, 1, 3, None]),
     "macOS": ([0], [3, None, None]),
-    "coding behind the end": ([0, None], [3]),
+    "coding after the end": ([0, None], [3]),
 }
 
 
@@ -237,7 +237,7 @@ def test_last_request_shows_an_opened_port_when_control_lines_are_unknown(uf2: P
     for closing, opening in _REOPENED.values():
         if closing[-1] == 0:  # otherwise the last request says that it is open
             assert welcomes_after_reopening(machine, closing, opening) == 1
-    assert welcomes_after_reopening(machine, [None], [3, None]) == 0
+    assert welcomes_after_reopening(machine, [None], [3, None]) == 0  # only a new speed
     assert "slow-reset" not in machine.ask("$I")
 
 

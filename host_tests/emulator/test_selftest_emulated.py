@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -68,7 +69,7 @@ class Emulated:
         return exception
 
     def until_restart(self, script: str, heard: "Callable[[str], None]", seconds: float) -> bool:
-        """Run a script that hangs; return whether the watchdog restarts the board."""
+        """Run a script that reports "= hang" and hangs; return whether the board restarts."""
 
         def is_back() -> bool:
             return "Grbl 1.1h" in self._board.output.partition("= hang")[2]
@@ -130,7 +131,7 @@ def test_five_and_six_motors_are_counted_in_turn(
     chip, wiring = look(board)
     assert (chip, wiring) == (_CHIP, Wiring("pio", 14, 26, False, motors))
     rows: "dict[str, Row]" = {}
-    monkeypatch.setattr(sys.modules[Emulated.__module__], "_MOST_S", 30)
+    monkeypatch.setattr(sys.modules[__name__], "_MOST_S", 30)  # counting in turn takes longer
     check(
         board, chip, program.QUICK, pwm=True, seed=5, tell=lambda row: rows.update({row.what: row})
     )
@@ -155,7 +156,9 @@ def lie(self, steps):
     steps[0] += 1
 engine.PioEngine.position = lie
 """
-_FEW = program.Amounts(1, (2, 1), 8192, 64, 1, 4, 2, 1, 1, 1)
+_FEW = replace(
+    program.QUICK, run_ms=1, seen=(2, 1), windows=1, stops=4, starts=2, limits=1, saves=1
+)
 
 
 class Worse(Emulated):

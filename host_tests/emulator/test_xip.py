@@ -36,12 +36,13 @@ class _Chip:
         self.cache = self.mcu.cache
         self.core = self.mcu.core
 
-    def run(self, at: int, opcodes: "list[int]") -> int:
+    def run(self, address: int, opcodes: "list[int]") -> int:
         """Store instructions at an address and execute them; return the cycles they took."""
         code = b"".join(opcode.to_bytes(2, "little") for opcode in opcodes)
-        memory = self.mcu.sram if at >= _RAM else self.mcu.flash
-        memory[at & 0xFFFFFF :][: len(code)] = code
-        self.core.pc = at
+        memory = self.mcu.sram if address >= _RAM else self.mcu.flash
+        offset = address & 0xFFFFFF
+        memory[offset : offset + len(code)] = code
+        self.core.pc = address
         return sum(self.step() for _ in opcodes)
 
     def step(self) -> int:

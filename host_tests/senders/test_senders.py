@@ -129,9 +129,8 @@ def check_record(record: Any, bench: Bench, board: str) -> None:
     assert record["wpos"] == [-5, -7, -1]
     sent = bench.wire(">")
     assert sent.index(b"!") < sent.rindex(b"~")
-    # Measured from the switch, machine position 0, in the motors' steps. Homing polls its switches
-    # only
-    # as often as the computer allows: a busy one pauses for some 20 ms.
+    # In motor steps. The switch closes at machine position 0. Homing approaches it at $24 mm/min,
+    # and a busy computer may poll it 0.1 s late.
     tolerance = 0.1 * SETTINGS[24] / 60 * STEPS_PER_MM
     expected = [SWITCH_STEPS + mm * STEPS_PER_MM for mm in PLAN["ended"]]
     steps = bench.stop()

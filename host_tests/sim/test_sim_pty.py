@@ -127,7 +127,8 @@ def test_lines_are_answered(sim: Sim) -> None:
 
 
 def test_recorded_conversations_are_replayed_over_a_port(sim: Sim, tmp_path: Path) -> None:
-    """Two recordings that the simulator follows, and one that it does not (G999 is an error)."""
+    """Two recordings that the simulator follows, one with a known difference ($I is answered in
+    motion), and one that it does not follow (G999 is an error)."""
 
     def case(line: str, answer: str, moved: "list[int]") -> "dict[str, object]":
         step = {"send": f"{line}\n", "wait": "idle", "t_ms": 50, "expect": [answer]}
@@ -135,11 +136,16 @@ def test_recorded_conversations_are_replayed_over_a_port(sim: Sim, tmp_path: Pat
         head = {"name": f"{line} {answer}", "init": "defaults", "setup": setup}
         return {**head, "steps": [{**step, "moved": moved}]}
 
-    recorded = [case("G1X.1F300", "ok", [25, 0, 0]), case("G1", "error:22", [0, 0, 0])]
-    (tmp_path / "errors.json").write_text(json.dumps([*recorded, case("G999", "ok", [0, 0, 0])]))
+    recorded = [
+        case("G1X.1F300", "ok", [25, 0, 0]),
+        case("G1", "error:22", [0, 0, 0]),
+        case("$I", "error:8", [0, 0, 0]),
+        case("G999", "ok", [0, 0, 0]),
+    ]
+    (tmp_path / "errors.json").write_text(json.dumps(recorded))
     process = ugrbl("conformance", tmp_path, "--port", sim.port)
     assert process.returncode == 1
-    assert "G999 ok" in process.stdout and "2 of 3 conform" in process.stdout
+    assert "G999 ok" in process.stdout and "3 of 4 conform" in process.stdout
 
 
 def test_a_machine_with_switches_is_homed_at_either_end_and_stops_there(tmp_path: Path) -> None:

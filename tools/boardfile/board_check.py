@@ -195,7 +195,7 @@ def _pins_by_name(board: ModuleType) -> Iterator[tuple[str, tuple[int, ...]]]:
 def _pins_of_chip(board: ModuleType, chip: Chip) -> Iterator[str]:
     """Check that pins exist, are used once, and are as many as the engine needs."""
     if motor_names.axes_of(board) < FEWEST_AXES:
-        yield f"STEP wants {FEWEST_AXES} pins, for {motor_names.AXIS_LETTERS[:FEWEST_AXES]}"
+        yield f"STEP needs {FEWEST_AXES} pins, for {motor_names.AXIS_LETTERS[:FEWEST_AXES]}"
     if len(getattr(board, "CONTROL", (None,) * 4)) != len(CONTROLS):
         yield "CONTROL needs four entries, for reset, hold, start and door; None where not wired"
     items = {item.name: item for item in ITEMS}
@@ -246,7 +246,7 @@ def _pins_beside_registers(board: ModuleType, chip: Chip) -> Iterator[str]:
     for name in ("DIR", "LIMIT"):  # LIMIT may have fewer: a second motor needs no switch
         count = len(getattr(board, name, ()))
         if count and (count > motors or (name == "DIR" and count < motors)):
-            yield f"{name} wants {motors} pins, not {count}"
+            yield f"{name} needs {motors} pins, not {count}"
     checked = Board(title=board.__name__, chip=chip, pins={"I2S": board.I2S})
     for name, pins in _pins_by_name(board):
         if name not in ("STEP", "DIR", "ENABLE"):
@@ -324,7 +324,7 @@ def _network(board: ModuleType) -> Iterator[str]:
     if page and getattr(board, "MPY_ARCH", "") == TOO_SMALL:
         yield NO_PAGE
     elif page and link not in WIRELESS.values():
-        yield 'PAGE: it wants a network, LINK = "wifi", or "uart_wifi" on an ESP32'
+        yield 'PAGE: it needs a network, LINK = "wifi", or "uart_wifi" on an ESP32'
     elif chip and not chip.radio and link in WIRELESS.values():
         yield f"LINK: {chip.title} has no radio"
 
@@ -381,7 +381,7 @@ def _defaults(board: ModuleType) -> Iterator[str]:
     from ..grbl.messages import meaning
     from ..sim.rig import MemoryStore
 
-    settings = Settings(MemoryStore(), motor_names.axes_of(board), {})
+    settings = Settings(MemoryStore(), motor_names.axes_of(board), defaults={})
     try:
         tables = tables_of(board)
     except ValueError:  # _firmware() reports it

@@ -134,7 +134,8 @@ def processors(arch: str) -> list[str]:
 
 
 def on_their_own(arch: str) -> list[Chip]:
-    """Return the chips of an architecture that are not on a module."""
+    """Return the chips of an architecture that are not on a module: their key in CHIPS is their
+    processor's name."""
     return [
         chip
         for name, chip in CHIPS.items()

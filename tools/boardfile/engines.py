@@ -39,7 +39,7 @@ def engines() -> dict[str, Engine]:
 
     return {
         name: Engine(needed, pins, most_hz, tuple(Oldest(*row) for row in oldest))
-        for name, (_, needed, pins, most_hz, oldest) in parts._ENGINES.items()
+        for name, (_make, needed, pins, most_hz, oldest) in parts._ENGINES.items()
     }
 
 

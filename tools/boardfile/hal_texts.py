@@ -89,7 +89,7 @@ class _Setting(NamedTuple):
         """Return the row for tables, with the description ($ESH)."""
         type_number, word, form, least, most = self.kind
         form = "axes" if type_number == _AXIS_MASK else form
-        cells = self.name, self.unit, word, form, self.text, least, most, "0", "0"
+        cells = self.name, self.unit, word, form, self.text, least, most, "0", "0"  # see row()
         return f"ESH {self.number} {self.number}\t" + "\t".join(cells)
 
 
@@ -124,10 +124,11 @@ def _rows(board: ModuleType) -> Iterator[str]:
 
 
 def _settings(board: ModuleType) -> list[_Setting]:
-    """Return the board's settings by number; the tool's replace others with the same number."""
+    """Return the board's settings, in the order of their numbers; those of its TOOL replace others
+    with the same number."""
     by_number = {
         setting.number: setting
-        for module, rows in tables_of(board).items()  # the tool's come last
+        for module, rows in tables_of(board).items()  # those of TOOL come last
         for row in rows
         for setting in _of_row(module, row, board)
     }

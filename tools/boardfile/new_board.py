@@ -175,16 +175,16 @@ def check_item(board: Board, item: Item, pins: Pins) -> None:
     wanted = {count, board.axes or count} if item.name == "LIMIT" else {count}
     if item.name == "STEP" and len(pins) > board.chip.most_motors:
         raise BoardError(
-            f"{board.chip.engine} has pulses for {board.chip.most_motors} motors at most"
+            f"{board.chip.engine} drives {board.chip.most_motors} motors at most: name fewer pins"
         )
     if len(pins) not in wanted:
         many = " or ".join(map(str, sorted(wanted)))
-        raise BoardError(f"{item.name} wants {many} pin{'s' * (many != '1')}, not {len(pins)}")
+        raise BoardError(f"{item.name} needs {many} pin{'s' * (many != '1')}, not {len(pins)}")
     used = {pin: name for name, held in board.pins.items() if name != item.name for pin in held}
     for index, pin in enumerate(pins):
         if pin is None:
             if item.name != "LIMIT":
-                raise BoardError(f"{item.name}: None is for limit switches that are not there")
+                raise BoardError(f"{item.name}: only LIMIT may have None: name a pin")
             continue
         if pin not in board.chip.pins:
             raise BoardError(f"{item.name}: {board.chip.title} has no pin {pin} to connect to")
@@ -194,7 +194,9 @@ def check_item(board: Board, item: Item, pins: Pins) -> None:
                 f"buttons have to be pins up to {board.chip.last_quick}"
             )
         if item.output and pin in board.chip.inputs_only:
-            raise BoardError(f"{item.name}: pin {pin} of {board.chip.title} can only read")
+            raise BoardError(
+                f"{item.name}: pin {pin} of {board.chip.title} is an input only: choose another"
+            )
         if pin in used:
             raise BoardError(f"{item.name}: pin {pin} is {used[pin]} already")
         if pin in pins[:index] and item.name != "LIMIT":  # limit switches may share a pin
@@ -217,8 +219,8 @@ def check_axes(board: Board) -> None:
     motors, most = len(board.pins["STEP"]), len(motor_names.AXIS_LETTERS)
     if not board.motors and motors > most:
         raise BoardError(
-            f"STEP has {motors} pins and there are {most} axes: MOTORS says which each moves, "
-            f'"{(motor_names.AXIS_LETTERS * 2)[:motors]}" say'
+            f"STEP has {motors} pins, but there are {most} axes: name the axis of each in MOTORS, "
+            f'as in "{(motor_names.AXIS_LETTERS * 2)[:motors]}"'
         )
 
 
@@ -260,7 +262,7 @@ def _check_defaults(board: Board) -> None:
 
     from ..sim.rig import MemoryStore
 
-    settings = Settings(MemoryStore(), board.axes, {})
+    settings = Settings(MemoryStore(), board.axes, defaults={})
     settings.load()
     for number, value in board.defaults.items():
         try:

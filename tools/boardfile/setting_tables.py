@@ -11,14 +11,14 @@ if TYPE_CHECKING:
 
 
 def tables_of(board: ModuleType) -> "dict[str, Rows]":
-    """Return the rows by the firmware's module that has them; settings of own extras are not
-    known."""
+    """Return the rows by the firmware's module that has them, those of TOOL last; settings of the
+    user's own extras are not known."""
     paths.use_firmware()
     from boot import select_extras
 
     names = {
         "base/settings",
-        *(name.replace(".", "/") for name in select_extras.extra_names(board, False)),
+        *(name.replace(".", "/") for name in select_extras.extra_names(board, with_custom=False)),
     }
     found = {module: rows for module, rows in tables().items() if module in names}
     tool = getattr(board, "TOOL", "")

@@ -74,7 +74,7 @@ app.add_typer(job.app, name="job")
 app.add_typer(settings.app, name="settings")
 
 
-def _tell_version(wanted: bool) -> None:
+def _show_version(wanted: bool) -> None:
     """Print the versions and end the command, if --version is given."""
     if not wanted:
         return
@@ -91,7 +91,7 @@ def main(
         bool,
         typer.Option(
             "--version",
-            callback=_tell_version,
+            callback=_show_version,
             is_eager=True,
             help="Show the version, and the version of Grbl it follows.",
         ),

@@ -106,7 +106,7 @@ def _check(folder: Path, is_named: bool) -> None:
 def _make(board: str | None, arch: str, kind: str) -> Build:
     """Compile the firmware for a board, else for a processor. kind: "frozen", "motion" or "", from
     the options; BuildError if they do not fit."""
-    if arch not in ARCHS[1:]:
+    if arch not in ARCHS[1:]:  # the first one is no machine code
         raise BuildError(f"{arch} is no processor: choose one of {', '.join(ARCHS[1:])}")
     if kind == "frozen" and not board:
         raise BuildError("--frozen needs a board: --board NAME")

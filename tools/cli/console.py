@@ -30,13 +30,13 @@ def command(
         raise failed("the console needs a terminal; `ugrbl send -` sends lines from stdin")
     try:
         connection = Connection(choose(port), baud)
-        desk = Session(connection, print)
+        session = Session(connection, print)
         try:
             if not connection.answers():
                 print(f"no Grbl answers on this port; {ONLY_RESET}")
-            asyncio.run(Terminal(desk).run())
+            asyncio.run(Terminal(session).run())
         finally:
-            desk.leave()
+            session.leave()
             connection.close()
     except SendError as error:
         raise failed(error) from error

@@ -81,8 +81,8 @@ def judge(console: Console, board: str, surroundings: Around) -> Verdict:
     """Check the user's Python and show the result."""
     own = _own(surroundings)
     with console.status(f"checking {own.path} …"):
-        verdict, notes = custom_check.check(own, board, surroundings)
-        custom_try.try_all(notes, board, surroundings, verdict)
+        verdict, handlers = custom_check.check(own, board, surroundings)
+        custom_try.try_all(handlers, board, surroundings, verdict)
     _show(console, own, verdict, board)
     return verdict
 

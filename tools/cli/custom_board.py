@@ -156,7 +156,7 @@ def pull(
     with _with_messages():
         if file.exists() and not force:
             raise DeployError(f"{file} exists already", "--force replaces it")
-        paths.check_writable(file / "one" if file.is_dir() else file)
+        paths.check_writable(file / "one" if file.is_dir() else file)  # "one": any name in it
         where = ports.choose(port)
         files = _fetch(where)
         if not files:

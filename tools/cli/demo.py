@@ -39,7 +39,7 @@ class Simulator:
     def __init__(self, folder: Path, picture: Path) -> None:
         self.port = folder / "grbl"
         self._report = folder / "report.json"
-        command = [sys.executable, "-m", f"{__package__}", "sim", "--speed", "max"]
+        command = [sys.executable, "-m", f"{__package__}", "sim", "--speed", "max"]  # ugrbl.cli
         command += ["--port", str(self.port), "--report", str(self._report)]
         command += ["--plot", str(picture)]
         self._process = subprocess.Popen(command, stdout=subprocess.DEVNULL)

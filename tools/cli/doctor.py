@@ -74,7 +74,7 @@ class Doctor:
                 text = f"{state}: Grbl answers no queries in this state"
                 todo = f"{way_out(state)}; then run this again"
                 self.add(Finding("state", BAD, text, todo))
-                self.add(*checkup.pins_at_rest(board_under_test.pins(connection), {}))
+                self.add(*checkup.pins_at_rest(board_under_test.pins(connection), values={}))
         finally:
             connection.close()
 

@@ -1,4 +1,4 @@
-"""Output files of commands: checked before the work, written after it."""
+"""Output files of commands: checked before the work, written after it. STDIN, "-", is stdout."""
 
 import json
 import os

@@ -101,7 +101,7 @@ def command(
         show_foreign(console, result.errors, lines, who)
         if picture and isinstance(recorder, MotionTrace):
             job = job_of("as it is", lines, chosen, board, result, recorder)
-            plot.save([job], name_of(file), "", picture)
+            plot.save([job], name_of(file), words="", file=picture)
         if json_file:
             _save(result, late, json_file)
     except (ValueError, OSError) as error:

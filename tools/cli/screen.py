@@ -139,6 +139,7 @@ class Screen:
         )
         prompt, letters = ("r, k or a> ", "rka") if keep_going else ("r or a> ", "ra")
         try:
+            # A tuple, because "" is in every str.
             while (answer := input(prompt).strip().lower()[:1]) not in tuple(letters):
                 pass
         except EOFError:

@@ -104,7 +104,8 @@ class Job:
         return Ready(self._lines, options.from_line, lines_before)
 
     def _cannot_rehearse(self) -> str:
-        """Return why the simulator would differ from the machine; "" if it would not."""
+        """Read the machine's state, settings and own words. Return why the simulator would differ
+        from the machine; "" if it would not."""
         state = self._connection.state()
         if state != "Idle":
             return f"the machine is in {state}"
@@ -168,7 +169,7 @@ class Job:
 
     def _is_custom(self, number: int, reply: str) -> bool:
         """Return whether the simulator refuses a line only for a word that the machine has, or may
-        have."""
+        have, because its list in $I is cut."""
         line = self._lines[number - 1]
         return reply == _UNKNOWN and (
             self._custom_codes.is_cut or bool(self._custom_codes.word_in(line))

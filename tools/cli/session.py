@@ -1,6 +1,6 @@
 """A user at a Grbl: lines and keys go in, the machine's output comes out with explanations.
 
-This module has no terminal; console.py has it. poll() is called often, and does all the work. A
+This module has no terminal; terminal.py has it. poll() is called often, and does all the work. A
 jog by key continues while the key repeats, in pieces so short that the machine stops by itself if
 the connection is lost.
 """

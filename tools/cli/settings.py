@@ -143,12 +143,12 @@ def restore(
         before = sync.pull(connection)
         if not yes:
             agree("Restore the factory's settings?", "nothing has been changed")
-        kept = Path("factory.before")
-        _keep(before, kept, "before a restore of the factory settings")
+        backup = Path("factory.before")
+        _keep(before, backup, "before a restore of the factory settings")
         sync.factory(connection)
         done = changes(before.values, sync.pull(connection).values)
     _report(before, done, json_file)
-    Console(stderr=True).print(f"the old settings are in {kept}", highlight=False)
+    Console(stderr=True).print(f"the old settings are in {backup}", highlight=False)
 
 
 def _write(

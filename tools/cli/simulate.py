@@ -93,12 +93,14 @@ def simulate(options: Options) -> None:
 
 
 def _draw(options: Options, rig: "Rig", trace: MotionTrace) -> None:
-    """Draw what the motors did, with the settings at the end. The title is the picture's name."""
+    """Draw what the motors did, with the settings at the end. The title is the picture's name, or
+    on stdout the board's."""
     settings = [f"${number}={value}" for number, value, _ in rig.controller.settings.each()]
     result = Result(totals=trace.totals())
-    job = job_of("as run", (), settings, options.board, result, trace)
+    job = job_of("as run", (), settings, options.board, result, trace)  # (): no program
     file = cast(Path, options.plot)
-    plot.save([job], options.board if str(file) == STDIN else file.stem, "", file)
+    title = options.board if str(file) == STDIN else file.stem
+    plot.save([job], title, words="", file=file)
 
 
 def _wire(options: Options) -> "Pty | Tcp | Stdio":
@@ -132,8 +134,8 @@ def _say(text: str) -> None:
 
 
 class Network(NamedTuple):
-    """The ports that a simulated network listens on. page: the port for HTTP, and folder: the
-    page's files, if the board serves the page."""
+    """The ports that a simulated network listens on. calls: the port for Grbl. page: the port for
+    HTTP, and folder: the page's files, if the board serves the page."""
 
     calls: "HostCalls"
     page: "HostCalls | None" = None
@@ -181,7 +183,7 @@ def _link(rig: "Rig", cable: LiveLink, network: Network | None) -> Any:
     if network is None:
         return cable
     paths.use_firmware()
-    complete()
+    complete()  # MicroPython's functions of `time`, which the link needs
     from ports.net.page import Page
 
     from ..sim.network import RigLink, RigPageLink
@@ -199,7 +201,7 @@ def _listen_to_user(rig: "Rig") -> None:
     if sys.stdin is None or not (sys.stdin.isatty() or rig.custom_module):
         return
     buttons = Buttons(rig.inputs, Console())
-    rig.link.turn = buttons.poll
+    rig.link.turn = buttons.poll  # called whenever the firmware reads
     if rig.custom_module:
         rig.custom_module.on_person_wait = buttons.say
         rig.custom_module.on_switched = lambda name, on: buttons.say(

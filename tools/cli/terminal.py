@@ -39,8 +39,8 @@ class _History(FileHistory):
 class Terminal:
     """Reads lines with a history, or keys that move the machine; Tab switches between them."""
 
-    def __init__(self, desk: Session) -> None:
-        self._machine_session = desk
+    def __init__(self, machine_session: Session) -> None:
+        self._machine_session = machine_session
         self._in_key_mode = False
         self._prompt_session: PromptSession[str] = PromptSession(
             history=_History(str(Path.home() / _HISTORY)),

@@ -78,7 +78,7 @@ def command(
 def _check_together(name: bool, open_: bool, access_point: bool, off: bool) -> None:
     """End the command if options that were given exclude each other, or need another one."""
     if not name and (open_ or access_point):
-        raise failed("--open and --access-point want the network's --name")
+        raise failed("--open and --access-point need the network's --name")
     if open_ and access_point:
         raise failed("the board's own network needs a password: leave out --open")
     if off and name:

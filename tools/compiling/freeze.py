@@ -101,9 +101,9 @@ def decorated(text: str) -> str:
             raise NotFrozen(
                 f"{function.name} is native code, and must not contain a function or a yield"
             )
-        # The decorator must be the lowest one, because it needs the function itself. The others
-        # move up by one, to an empty line, so that no later line moves.
-        # The lowest one is micropython.viper or .native, which the compiler removes.
+        # The decorator needs the function itself, so only the lowest one stays below it:
+        # micropython.viper or .native, which the compiler removes. The others move up by one, to
+        # an empty line, so that no later line moves.
         highest, lowest = (function.decorator_list[index].lineno - 1 for index in (0, -1))
         empty = highest - 1
         if lines[empty].strip():

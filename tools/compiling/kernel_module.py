@@ -45,7 +45,7 @@ def taken_apart(texts: "Mapping[str, str]", core: "Collection[str]") -> Apart:
     keys = [(name, function) for name, module in modules.items() for function in module.functions]
     homes = {name: _home(name, core) for name, module in modules.items() if module.functions}
     without_kernels = {name: _without(text, modules, name, homes) for name, text in texts.items()}
-    # Without imports that only kernels needed; the others tell which kernels Python code uses.
+    # Without imports that only kernels needed; the others show which kernels Python code uses.
     left = pruned(without_kernels, homes.values())
     trees = map(ast.parse, left.values())
     exported = {(home, name) for tree in trees for _, home, name in imported(tree)}

@@ -42,7 +42,7 @@ def _in_one_package(arch: str) -> Apart:
     all_texts = build.in_place(arch, texts())
     engine = next(chip.engine for chip in CHIPS.values() if chip.mpy_arch == arch)
     needed = {name: all_texts[name] for name in sorted(_needed_modules(all_texts, engine))}
-    apart = Apart(needed, "", {})
+    apart = Apart(needed, c="", pieces={})
     if arch in compilers.PROCESSORS:
         apart = taken_apart(needed, needed)  # all kernels go into the core
     left = _needed_modules(apart.texts, engine)  # without modules that were kernels only

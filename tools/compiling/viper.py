@@ -40,7 +40,7 @@ class Module:
         self.name = name
         self.tree = ast.parse(text)
         self.functions = {f.name: f for f in vipers(self.tree)}
-        self.numbers = constants(self.tree, {})
+        self.numbers = constants(self.tree, names={})
         # By the names here: where each imported name is defined, a function or anything else.
         self.imported = {here: (module, there) for here, module, there in imported(self.tree)}
 

@@ -127,9 +127,9 @@ def report(connection: Connection) -> None:
 
 
 def watch_pins(
-    connection: Connection, seconds: float, tell: Callable[[str, bool], None]
+    connection: Connection, seconds: float, on_change: Callable[[str, bool], None]
 ) -> dict[str, int]:
-    """Call tell(name, is_active) for every input that changes. Returns how often each became
+    """Call on_change(name, is_active) for every input that changes. Returns how often each became
     active, by its letter in reports."""
     seen: dict[str, int] = {}
     report(connection)
@@ -139,7 +139,7 @@ def watch_pins(
         report(connection)
         now = set(pins(connection))
         for letter in sorted(now ^ before):  # those that changed
-            tell(PINS.get(letter, letter), letter in now)
+            on_change(PINS.get(letter, letter), letter in now)
             if letter in now:
                 seen[letter] = seen.get(letter, 0) + 1
         before = now

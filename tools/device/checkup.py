@@ -65,7 +65,7 @@ def firmware(found: Firmware, ours: str) -> Finding:
         return Finding(what, NOTE, text)
     if found.version != "1.1":
         return Finding(what, BAD, text, "current senders need Grbl 1.1: update the firmware")
-    if is_ours(found) and found.build < ours:
+    if is_ours(found) and found.build < ours:  # builds are dates, YYYYMMDD
         todo = f"install this computer's build of {ours}: ugrbl deploy"
         return Finding(what, NOTE, f"{text} is older than the firmware of this computer", todo)
     is_simulator = is_ours(found) and found.name.split()[1:2] == ["sim"]  # "Grbl sim …"
@@ -124,9 +124,9 @@ def held_up(times: int, when: str) -> str:
 
 
 WHY_DRAINED = (
-    "`ugrbl run FILE --board NAME` names lines that come faster than a board takes them; if "
-    "there are none, the sender is late: let it count characters (not wait for each ok), and the "
-    "computer neither sleep nor share a USB hub"
+    "`ugrbl run FILE --board NAME` names lines that come too fast for the board; if there are "
+    "none, the sender is late: let it count characters (not wait for each ok), keep the computer "
+    "from sleeping, and use no USB hub"
 )
 
 
@@ -244,7 +244,7 @@ def pins_pressed(seen: Mapping[str, int], values: Mapping[int, float], axes: int
     if missing and values.get(22, 0):
         text = f"never seen, though homing ($22) needs them: {', '.join(missing)}"
         findings.append(Finding("switches", NOTE, text, "press each; check wiring and pins"))
-    bouncing = [letter for letter, count in seen.items() if count > 10]
+    bouncing = [letter for letter, count in seen.items() if count > 10]  # more often than by hand
     if bouncing:
         text = f"{', '.join(bouncing)} changed very often"
         todo = "noise: shielded wire, a capacitor of 100 nF at the input, a stronger pull-up"

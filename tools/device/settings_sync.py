@@ -27,7 +27,9 @@ def connect(port: str, baud: int = BAUD) -> Connection:
     connection = Connection(port, baud)
     if not connection.wait_for(lambda line: line.startswith("<"), _ANSWER_S):
         connection.close()
-        raise SendError(f"no Grbl answers on {port}; `ugrbl doctor --port {port}` may know why")
+        raise SendError(
+            f"no Grbl answers on {port}; `ugrbl doctor --port {port}` looks for the cause"
+        )
     return connection
 
 

@@ -74,12 +74,12 @@ def set_up(connection: Connection, lines: list[str]) -> None:
 
 def status(connection: Connection) -> str:
     """Return the board's description of its network."""
-    return _told(_ask(connection, "$NET"), _STATUS)
+    return _text_after(_ask(connection, "$NET"), _STATUS)
 
 
 def key(connection: Connection, new: bool) -> str:
     """Return the key that allows a sender to do more than read. new: create another key."""
-    return _told(_ask(connection, "$NET/KEY=NEW" if new else "$NET/KEY"), _KEY)
+    return _text_after(_ask(connection, "$NET/KEY=NEW" if new else "$NET/KEY"), _KEY)
 
 
 def switch_off(connection: Connection) -> None:
@@ -87,12 +87,14 @@ def switch_off(connection: Connection) -> None:
     _ask(connection, "$NET/OFF")
 
 
-def _told(replies: list[str], prefix: str) -> str:
+def _text_after(replies: list[str], prefix: str) -> str:
     """Return the text of the message that begins with a prefix; SendError if there is none."""
     for reply in replies:
         if reply.startswith(prefix):
             return reply[len(prefix) : -1]  # without the bracket at its end
-    raise SendError("the board's answer is unknown to this version of ugrbl")
+    raise SendError(
+        "this ugrbl does not know the board's answer: update ugrbl, or the board (ugrbl deploy)"
+    )
 
 
 def _ask(connection: Connection, line: str) -> list[str]:

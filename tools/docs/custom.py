@@ -8,7 +8,7 @@ from .markdown import table
 
 # The machine API and its base class, with the comment that begins the methods for handlers.
 _API_MODULES = {"machine_api": "# Motion", "pin_api": "# Pins"}
-_NOT_FOR_HANDLERS = ("halt",)  # a method, though it is below the line
+_NOT_FOR_HANDLERS = ("halt",)  # though it is below the heading
 
 
 def machine_api_table() -> str:

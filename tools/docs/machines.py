@@ -117,6 +117,7 @@ def differences_table() -> str:
     rows += [(name, "motion", reason) for name, reason in differences.MOTION]
     rows += [
         (row.name, "whole cases", row.reason)
+        # The first of MOTIONS is one of CASES, too.
         for row in (*known_differences.CASES, *known_differences.MOTIONS[1:])
     ]
     rows = [(name, where, as_code(reason)) for name, where, reason in rows]

@@ -41,7 +41,7 @@ def _at_reset() -> "array[int]":
     """Return the modal state after a reset."""
     from control.modes import Modes
 
-    return Modes(3).modal
+    return Modes(axes=3).modal
 
 
 def _known(words: "Iterable[str]") -> list[str]:

@@ -50,6 +50,7 @@ def draw(jobs: Sequence[Job], title: str, words: str, is_svg: bool = False) -> "
         cuts = _from_above(views[-1], job, drawn, colour_scale)
         views[-1].set_title(_heading(job, drawn), fontsize="small", parse_math=False)
         _in_space(figure.add_subplot(place[1], projection="3d"), drawn, colour_scale)
+    # The last job's cuts stand for all, which have one scale.
     figure.colorbar(cuts, ax=views, label="speed of cuts in mm/min", extend="max", panchor=False)
     _curves(figure, [place[2:] for place in places], jobs)
     return figure
@@ -98,11 +99,14 @@ def _from_above(axes: "Axes", job: Job, drawn: Drawing, colour_scale: dict[str, 
     from matplotlib.collections import LineCollection
 
     rapids = LineCollection(
-        list(drawn.strokes(True)[:, :, :2]), colors=drawing.RAPID, linewidths=0.6, linestyles="--"
+        list(drawn.strokes(rapid=True)[:, :, :2]),
+        colors=drawing.RAPID,
+        linewidths=0.6,
+        linestyles="--",
     )
-    speeds = drawn.stroke_speeds(False)
+    speeds = drawn.stroke_speeds(rapid=False)
     cuts = LineCollection(
-        list(drawn.strokes(False)[:, :, :2]), array=speeds, linewidths=0.8, **colour_scale
+        list(drawn.strokes(rapid=False)[:, :, :2]), array=speeds, linewidths=0.8, **colour_scale
     )
     axes.add_collection(rapids)
     axes.add_collection(cuts)
@@ -130,7 +134,7 @@ def _in_space(axes: Any, drawn: Drawing, colour_scale: dict[str, Any]) -> None:
     from matplotlib.ticker import MaxNLocator
     from mpl_toolkits.mplot3d import art3d  # type: ignore[import-untyped]
 
-    rapids, cuts = drawn.strokes(True), drawn.strokes(False)
+    rapids, cuts = drawn.strokes(rapid=True), drawn.strokes(rapid=False)
     axes.add_collection3d(
         art3d.Line3DCollection(
             _lines(rapids), colors=drawing.RAPID, linewidths=0.4, linestyles="--"
@@ -138,7 +142,7 @@ def _in_space(axes: Any, drawn: Drawing, colour_scale: dict[str, Any]) -> None:
     )
     axes.add_collection3d(
         art3d.Line3DCollection(
-            _lines(cuts), array=drawn.stroke_speeds(False), linewidths=0.6, **colour_scale
+            _lines(cuts), array=drawn.stroke_speeds(rapid=False), linewidths=0.6, **colour_scale
         )
     )
     low, size = _roomy(drawn)

@@ -130,11 +130,11 @@ def _curves(job: Job) -> "Sequence[list[dict[str, Any]]]":
     motion = job.motion
     speed = 60 * np.frombuffer(motion.speed_mm_s, np.float32)
     power = 100 * np.frombuffer(motion.power, np.float32)
-    colours = list(zip(LETTERS, drawing.AXES, motion.axes(), strict=False))
+    axes = list(zip(LETTERS, drawing.AXES, motion.axes(), strict=False))
     return [
         [_curve(job, speed, "along the path", "#222")],
-        [_curve(job, motion.acceleration(i), name, colour) for name, colour, i in colours],
-        [_curve(job, motion.step_hz(i), name, colour) for name, colour, i in colours],
+        [_curve(job, motion.acceleration(i), name, colour) for name, colour, i in axes],
+        [_curve(job, motion.step_hz(i), name, colour) for name, colour, i in axes],
         [_curve(job, power, "power", drawing.POWER)],
     ]
 
@@ -151,7 +151,7 @@ def _curve(job: Job, values: Numbers, name: str, colour: str) -> dict[str, Any]:
 
 
 def _colour(step: int) -> str:
-    """Return the colour of one step of the scale, the same as in pictures."""
+    """Return the colour of a step, 0 to SHADES - 1, of the scale, the same as in pictures."""
     from matplotlib import colormaps
     from matplotlib.colors import to_hex
 

@@ -85,7 +85,9 @@ def read_utf8(path: Path) -> bytes:
     try:
         return data.decode("utf-16").encode()
     except UnicodeDecodeError as error:
-        raise NotText(f"{name_of(path)} begins as UTF-16, and is damaged") from error
+        raise NotText(
+            f"{name_of(path)} begins as UTF-16, and is damaged; save it as UTF-8"
+        ) from error
 
 
 def read_lines(path: Path) -> Lines:
@@ -125,8 +127,8 @@ def _bare(line: bytes) -> bytes:
 
 
 def read_program(path: Path) -> Sequence[bytes]:
-    """Return the lines as read_lines(), without marks of the file's ends. ValueError if there is
-    nothing to run, or the file is not text."""
+    """Return the lines as read_lines(), but empty ones in place of lines that are only `%`.
+    ValueError if there is nothing to run, or the file is not text."""
     lines = read_lines(path)
     check_text(lines, name_of(path))
     return Changed(lines, without_end)
@@ -171,7 +173,7 @@ def is_text(data: bytes) -> bool:
 
 
 def is_utf8(data: bytes) -> bool:
-    """Return whether it can be decoded as UTF-8."""
+    """Return whether the data can be decoded as UTF-8."""
     try:
         data.decode("utf-8")
     except UnicodeDecodeError:

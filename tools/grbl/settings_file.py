@@ -162,7 +162,7 @@ def _store(values: dict[int, str], line: int, number: int, value: str) -> None:
     if not is_valid:
         raise SettingsError(f"line {line}: ${number} cannot be {value or 'nothing'}")
     if number in values:
-        raise SettingsError(f"line {line}: ${number} is there twice")
+        raise SettingsError(f"line {line}: ${number} is there twice; remove one")
     values[number] = value
 
 
@@ -245,7 +245,7 @@ def meaning(number: int) -> Meaning:
 
 
 def as_line(text: str) -> str:
-    """Return `120=500` or `$120=500` as a line."""
+    """Return `120=500` or `$120=500` as a line. ValueError if it is neither, or one of zeros()."""
     number, _, value = text.strip().lstrip("$").partition("=")
     if not number.isdigit() or not value:
         raise ValueError(f"{text} is no setting; write it as 120=500")
@@ -295,7 +295,7 @@ def check_known(numbers: Iterable[int], known: Iterable[int]) -> None:
     """Raise SettingsError if there are unknown numbers."""
     if unknown := sorted({*numbers} - {*known}):
         names = ", ".join(f"${number}" for number in unknown)
-        raise SettingsError(f"the machine has no {names}; take that out of the file")
+        raise SettingsError(f"the machine has no {names}; remove that from the file")
 
 
 def check_fit(file: Settings, machine: Settings, any_version: bool, complete: bool) -> None:

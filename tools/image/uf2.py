@@ -72,11 +72,11 @@ def read(data: bytes) -> Flash:
         block = data[begin : begin + _BLOCK]
         *magic, flags, address, size, _number, count, family = _HEAD.unpack_from(block)
         if tuple(magic) != _MAGIC or block[-4:] != _MAGIC_END.to_bytes(4, "little"):
-            raise Uf2Error(f"it is no UF2 file: block {number} is damaged")
+            raise Uf2Error(f"it is no UF2 file: block {number} is damaged; download it again")
         if family not in CHIPS or not flags & _HAS_FAMILY:
             others.append(block)
         elif size != PAGE or address % PAGE:
-            raise Uf2Error(f"block {number} is no page of flash")
+            raise Uf2Error(f"block {number} is no page of flash; download it again")
         else:
             blocks = max(blocks, count)
             flash = flashes.setdefault(family, Flash(family))

@@ -10,6 +10,7 @@ A case has `setup` (lines with their answers) and `steps`. A recorded step has:
     moving               motors ran at its begin or end: moves and outputs are not compared
     moved_varies         only the sum of the moves of the whole case is compared
 A step of the replay (`mine`, in `got`) has lines, partial (an unfinished line), moved and out.
+`places`: the comparison of moves and positions of all steps, see compare_places.py.
 """
 
 import re
@@ -156,7 +157,7 @@ def _judge_moves(steps: list[Json], got: list[Json], places: Places, used: list[
                 used.append(places.reasons[number])
         if not _same_outputs(step, mine, used):
             wrong.append(f"step {number}: outputs")
-    if any(step.get("moved_varies") for step in steps) and not _rest_varies(steps):
+    if any(step.get("moved_varies") for step in steps) and not _final_position_varies(steps):
         total = _total([padded(step.get("moved", []), axes) for step in steps])
         mine_total = _total([mine["moved"] for mine in got])
         if total != mine_total and not places.are_explained(used):
@@ -185,7 +186,7 @@ def _total(moves: list[list[int]]) -> list[int]:
     return [sum(steps) for steps in zip(*moves)]
 
 
-def _rest_varies(steps: list[Json]) -> bool:
+def _final_position_varies(steps: list[Json]) -> bool:
     """Return whether, according to the recording itself, the final position depends on timing."""
     reports = [step for step in steps if any(line.startswith("<") for line in step["expect"])]
     return not reports or "compare" in reports[-1]

@@ -87,7 +87,8 @@ def _stopped_at_end(record: Json, observed: Json) -> bool:
         # one ended before this resume, the other soon after it
         min(ends_ms) < ms < max(ends_ms) < ms + _STANDSTILL_MS
         and all(
-            abs(samples[axis][int(ms / samples["dt_ms"])] - end) <= 1
+            # After the last sample the axis stands still.
+            abs(samples[axis][: int(ms / samples["dt_ms"]) + 1][-1] - end) <= 1
             for axis, end in zip("xyz", record["net_steps"].values(), strict=False)
         )
         for ms in resumes_ms

@@ -23,7 +23,7 @@ _DIGIT_MM = 0.001  # the last digit of a reported position
 _PER_MM = 250.0  # steps/mm of the recordings, unless they set another value
 _FEED = re.compile(r"F\s*(\d+\.?\d*)|\$1[12]\d=(\d+)|\$2[45]=(\d+)", re.IGNORECASE)
 _SETTING = re.compile(r"\$10([0-5])=(\d+\.?\d*)|\$RST=[$*]", re.IGNORECASE)
-_SLOW_REST = re.compile(r"(?<=[|])(Bf:\d+|FS:(\d|0\.\d))(?=,)")
+_FREE_BLOCKS_OR_SLOW = re.compile(r"(?<=[|])(Bf:\d+|FS:(\d|0\.\d))(?=,)")
 _PLACES = re.compile(r"(?<=:)(-?\d+\.\d+(?:,-?\d+\.\d+)+)")
 
 
@@ -95,9 +95,9 @@ class Places:
                     elif reason:
                         self.reasons[number] = reason
                 # A stop makes the offset uncertain, until a move cancels it exactly.
+                cancels = [a != 0 and b == -a for a, b in zip(offset, deviation)]
                 is_uncertain = [
-                    bool(slack[axis])
-                    or (is_uncertain[axis] and not 0 != offset[axis] == -deviation[axis])
+                    bool(slack[axis]) or (is_uncertain[axis] and not cancels[axis])
                     for axis in range(self.axes)
                 ]
                 offset = [a + b for a, b in zip(offset, deviation)]
@@ -155,9 +155,10 @@ class Places:
             return False
         reasons: set[str | None] = set()
         for pair in zip(expected, lines, strict=True):
-            # A hold that stops a step before the end of a block may still have that block, or not.
+            # A hold that stops a step before the end of a block may still have that block, or not:
+            # free blocks, and a speed of one digit, are not compared.
             is_hold = pair[0].startswith("<Hold")
-            texts = [_SLOW_REST.sub("#", line) if is_hold else line for line in pair]
+            texts = [_FREE_BLOCKS_OR_SLOW.sub("#", line) if is_hold else line for line in pair]
             # split() alternates: text, positions, text, …
             theirs, ours = [_PLACES.split(text) for text in texts]
             if theirs[::2] != ours[::2]:
@@ -166,9 +167,9 @@ class Places:
             for positions in zip(theirs[1::2], ours[1::2], strict=True):
                 numbers = [position.split(",") for position in positions]
                 reasons |= {
-                    self._reason_of_report(number, axis, float(ours) - float(theirs), is_running)
-                    for axis, (theirs, ours) in enumerate(zip(*numbers, strict=False))
-                    if theirs != ours
+                    self._reason_of_report(number, axis, float(our) - float(grbls), is_running)
+                    for axis, (grbls, our) in enumerate(zip(*numbers, strict=False))
+                    if grbls != our
                 }
         used += sorted(filter(None, reasons))
         return None not in reasons

@@ -112,7 +112,8 @@ def find_micropython() -> str | None:
 
 
 def _command(python: str, program: Path) -> list[str]:
-    """Return the command that runs a program. python: "cpython", else MicroPython is taken."""
+    """Return the command that runs a program. python: "cpython"; else it is MicroPython.
+    FileNotFoundError if that is not installed."""
     if python == "cpython":
         return [sys.executable, str(program)]
     found = find_micropython()
@@ -123,10 +124,10 @@ def _command(python: str, program: Path) -> list[str]:
 
 @contextmanager
 def _environment(python: str, program: Path) -> Iterator[dict[str, str]]:
-    """Yield the environment in which our program finds a firmware that this Python can run. For
-    MicroPython this is a copy of the sources in a temporary folder."""
+    """Yield the environment in which a program finds a firmware that this Python can run. For
+    _REPLAY under MicroPython this is a copy of the sources in a temporary folder."""
     if python == "cpython" or program != _REPLAY:
-        yield dict(os.environ)  # they need no copy
+        yield dict(os.environ)  # CPython needs no copy; another program finds its own firmware
         return
     with TemporaryDirectory(prefix="ugrbl-") as folder:
         place(Path(folder))

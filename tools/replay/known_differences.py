@@ -101,7 +101,7 @@ def _starved(record: Json) -> float:
     ms = [ms for _, ms, _ in _blocks(record["program"])]
     in_planner = [ms[i : i + _BLOCKS] for i in range(len(ms) - _BLOCKS)]
     is_starved = any(sum(blocks_ms) < _BLOCKS * _STARVED_MS for blocks_ms in in_planner)
-    return 1.01 if is_starved else 0.0
+    return 1.01 if is_starved else 0.0  # not longer, with a tolerance of 1 %
 
 
 def _burst(record: Json) -> float:
@@ -293,9 +293,9 @@ def _ends_alike(
     if not moves_differ:
         return True
     axes = range(len(got[0]["moved"]))
-    theirs = [sum((step.get("moved") or [0] * 9)[axis] for step in steps) for axis in axes]
+    theirs = [sum((step.get("moved") or [0] * len(axes))[axis] for step in steps) for axis in axes]
     ours = [sum(mine["moved"][axis] for mine in got) for axis in axes]
-    if row.stands:  # we must not move at all
+    if row.stands:  # we must not move in the first step; later moves are not compared
         return not any(got[0]["moved"])
     if got[-1]["moving"] or steps[-1].get("moving"):
         return all(min(a, 0) <= b <= max(a, 0) for a, b in zip(theirs, ours, strict=True))

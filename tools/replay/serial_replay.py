@@ -45,9 +45,10 @@ class SerialReplay:
             observed["setup"].append({"lines": self._step(line + "\n", "ok", 0)})
         for step in case["steps"]:
             lines = self._step(step["send"], step["wait"], step["t_ms"], step.get("settle_ms"))
-            # As recorded, because a port does not show motors.
-            moved = step.get("moved") or [0, 0, 0]
-            observed["steps"].append({"lines": lines, "partial": self._text, "moved": moved})
+            # As recorded, because a port shows neither motors nor outputs.
+            seen = {"moved": step.get("moved") or [0, 0, 0], "out": step.get("out", {})}
+            seen["moving"] = step.get("moving", False)
+            observed["steps"].append({"lines": lines, "partial": self._text, **seen})
         return observed
 
     def _make_default(self) -> None:
@@ -66,7 +67,7 @@ class SerialReplay:
 
         wait: as in the recordings, "ok", "report" and so on, or "ms 200". t_ms: how long it took
         when recorded; the device may take longer. settle_ms: time to go on listening afterwards;
-        None: the usual one.
+        None or 0: 60 ms after a banner, else 50.
         """
         self._lines = []
         self._serial.write(send.encode("latin-1"))

@@ -4,9 +4,10 @@ Static checks come first: names of pins, imports, syntax that MicroPython's comp
 the code is imported as a board would, and each handler's word and parameters are checked. Faults
 that show only when a handler runs are found by custom_try.py.
 
-own: the user's Python. verdict: the results, to which the checks add. A note is a registered
-handler: kind (M or G for a word, else an event), key (the word's number, …), letters of the word's
-parameters (lower case: optional), sync (when it runs, as in _WHEN), and the function.
+own: the user's Python. verdict: the results, to which the checks add. around: see machine.Around.
+A note is a registered handler: kind (M or G for a word, else an event), key (the word's number,
+…), letters of the word's parameters (lower case: optional), sync (when it runs, as in _WHEN), and
+the function.
 """
 
 import ast

@@ -69,14 +69,14 @@ class CustomModule:
                 place = f"{frame.filename}, line {frame.lineno}: "
         return place
 
-    def note_wait(self, name: str, closed: bool, seconds: "float | None", is_so: bool) -> None:
+    def note_wait(self, name: str, closed: bool, seconds: "float | None", has_level: bool) -> None:
         """Note that a handler waits for an input, and report a wait that may never end.
 
-        closed: the level that it waits for. seconds: its time limit, if any. is_so: whether the
-        input has that level already.
+        closed: the level that it waits for. seconds: its time limit, if any. has_level: the input
+        has that level already.
         """
         can_change = self.inputs.await_(name, closed)
-        if is_so or seconds is not None:
+        if has_level or seconds is not None:
             return  # the wait ends
         handler, change = self.running[-1], "close" if closed else "open"
         if self.on_person_wait:
@@ -192,12 +192,12 @@ class WatchedCustom(Custom):
     """Passes the handlers to its module for examination before it accepts them. Instead of leaving
     faulty code out it raises OwnPythonError, because a simulation without it would be useless."""
 
-    def __init__(self, cnc: Any, runner: Runner, happenings: Any) -> None:
+    def __init__(self, cnc: Any, runner: Runner, events: Any) -> None:
         module = _importer.module
         assert module and isinstance(runner, WatchedRunner)
         assert isinstance(runner.machine_api, WatchedApi)
         self._module = runner.module = runner.machine_api.module = module
-        super().__init__(cnc, runner, happenings)
+        super().__init__(cnc, runner, events)
 
     def register(self, notes: list[Any]) -> None:
         """Examine the handlers, then register them."""

@@ -50,7 +50,7 @@ class FileStore:
     def save(self, name: str, lines: Iterable[str]) -> None:
         """Store lines under a name: replace the file completely, or leave it unchanged. OSError if
         it cannot be replaced."""
-        key = _SETTINGS if name.startswith(_SETTINGS) else name  # whatever the tool
+        key = _SETTINGS if name.startswith(_SETTINGS) else name  # settings_punch, too
         stored = {**self._stored, key: list(lines)}
         if self._read_file() != self._text:
             raise OSError(

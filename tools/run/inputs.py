@@ -21,7 +21,7 @@ PROBE = "probe"
 DOOR = "door"
 _PLACE = re.compile(rf"([{AXIS_LETTERS}])([<>]?)(-?\d+(?:\.\d*)?)", re.IGNORECASE)
 _TIME = re.compile(r"(\d+(?:\.\d*)?)(ms|s)")
-_WHEN = "on, off, a place (Z-30) or a time (2s)"
+_WHEN = "on, off, a position (Z-30) or a time (2s)"
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class Inputs:
         self._wait_ms: dict[str, int] = {}  # by name: it changes after being waited for so long
         if others_ms is not None:
             self._wait_ms = dict.fromkeys(self.names, others_ms)
-        self._ruled: set[str] = set(self._wait_ms)  # names of inputs that may change
+        self._changeable: set[str] = set(self._wait_ms)  # names of inputs that may change
         # What a handler waits for: name, level (closed), and since when in ms; None: nothing.
         self._awaited: "tuple[str, bool, int] | None" = None
         self._probing_since: "int | None" = None  # in ms; None: no probing motion
@@ -101,7 +101,7 @@ class Inputs:
         """Apply a rule. It replaces the general rule for inputs without one."""
         if added.name not in self.names:
             raise ValueError(f"there is no input {added.name}; there are {', '.join(self.names)}")
-        self._ruled.add(added.name)
+        self._changeable.add(added.name)
         self._wait_ms.pop(added.name, None)
         if added.wait_ms is not None:
             self._wait_ms[added.name] = added.wait_ms
@@ -137,7 +137,7 @@ class Inputs:
     def await_(self, name: str, closed: bool) -> bool:
         """Note that a handler waits for an input. Returns whether the input may ever change."""
         self._awaited = name, closed, self._rig.port.ticks_ms()
-        return name in self._ruled or name not in self.names
+        return name in self._changeable or name not in self.names
 
     def end_wait(self) -> None:
         """Note that the wait has ended."""

@@ -153,7 +153,7 @@ class _Pointer:
 
     def __call__(self, memory: Any) -> Any:
         """Return a buffer that is not in `known` as an argument of a C function, and add it to
-        `known`, unless it is a view for one call."""
+        `known`, unless it is a memoryview that micropython.kept_views does not hold."""
         from micropython import kept_views
 
         bytes_long = memoryview(memory).nbytes

@@ -23,7 +23,7 @@ _PIECE = 64
 _PIECES = 16
 # How long the machine waits, in wall time, for a sender that could keep it busy.
 _PATIENCE_S = 0.01
-_AT_REST_S = 0.02  # wait for the sender while the machine is idle
+_IDLE_S = 0.02  # wait for the sender while the machine is idle
 _MOVING_S = 0.001  # and while it works
 # Between two turns of the firmware's loop motion never advances further, however long the computer
 # was busy: homing finds its switches where a board does.
@@ -53,8 +53,8 @@ class Wire(Protocol):
 class LiveLink(UntimedLink):
     """A Link on a wire. fast: virtual time jumps ahead while the machine works or waits.
 
-    When there is nothing to do, the clock follows wall time, so an idle machine rests in real
-    time.
+    When there is nothing to do, the clock follows wall time, so an idle machine does not run
+    ahead.
     """
 
     def __init__(self, rig: "Rig", wire: Wire, fast: bool) -> None:
@@ -146,9 +146,9 @@ class LiveLink(UntimedLink):
             return  # there is no time to wait
         busy = self.busy()
         if not self._fast:
-            self._wire.wait(_MOVING_S if busy else _AT_REST_S)
+            self._wire.wait(_MOVING_S if busy else _IDLE_S)
         elif not busy:
-            self._wire.wait(_AT_REST_S)
+            self._wire.wait(_IDLE_S)
             self._follow_wall()
         else:
             self._jump_ahead()

@@ -220,11 +220,11 @@ class ProgramLink(machine.UntimedLink):
     # Output
 
     def _fill_buffer(self) -> None:
-        """Put as many lines into _to_firmware as the firmware can take. Switch the machine off
-        when the script has ended, or was stopped."""
+        """Put as many lines into _to_firmware as the firmware can take. When the script has ended,
+        or was stopped, power_off() raises PowerOff."""
         if self.result.stopped:
             self.rig.power_off()
-        while self._next_step is not None or self.at_rest():
+        while self._next_step is not None or self._is_idle():
             if self._next_step is not None:
                 if not self._fits(self._next_step[1]):
                     self._buffer_is_full = True
@@ -258,7 +258,7 @@ class ProgramLink(machine.UntimedLink):
         if not self.result.stopped:
             self.result.stopped = why
 
-    def at_rest(self) -> bool:
+    def _is_idle(self) -> bool:
         """Return whether everything is answered and nothing moves or is about to move."""
         from base import state
 

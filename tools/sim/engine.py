@@ -174,7 +174,7 @@ class SimEngine:
         """Apply settings; the firmware's position stays the same, also if dir_invert changes."""
         self.pulse_us = pulse_us
         position = self._physical[:]
-        self.position(position)
+        self.position(position)  # replaces the content
         self.dir_invert = dir_invert
         self.set_position(position)
 

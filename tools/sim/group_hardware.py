@@ -104,7 +104,8 @@ class SimHardware:
 
 
 def simulate() -> "list[SimHardware]":
-    """Make all groups created from now on simulated. Returns their hardware as they are made."""
+    """Make all groups created from now on simulated: a Group gets its hardware from
+    hardware.own(). Returns their hardware as they are made."""
     made: "list[SimHardware]" = []
 
     def own() -> SimHardware:

@@ -18,7 +18,7 @@ class SimBeamEngine(SimEngine):
     def __init__(self, axes: int, depth: int = 3, segment_log2: int = 17) -> None:
         super().__init__(axes, depth, segment_log2)
         self.beam = array("i", [0] * bm.LENGTH)
-        self.beam[bm.BOTH] = 1
+        self.beam[bm.BOTH] = 1  # a factor on all levels
         self.beam[bm.LEVEL] = bm.UNKNOWN
         self.levels = array("i", [0] * (bm.LEVELS_MASK + 1))
         # The segment as it was pulled. After the motors it has the beam, as one more of them: a
@@ -27,7 +27,7 @@ class SimBeamEngine(SimEngine):
         self._pieces: "list[array[int]]" = []
         self._levels_taken = 0  # number of levels taken from the ring
         self._level = 0  # the power at the end of the pieces
-        self.burning: "Callable[[], int]" = int  # the power when idle
+        self.burning: "Callable[[], int]" = int  # returns the power when idle; int(): 0
 
     # The interface of a beam
 

@@ -24,7 +24,7 @@ class RigLink(NetLink):
     _OF_CABLE = ("received", "stopping", "turn")
 
     def __init__(self, rig: "Rig", cable: "Any", calls: "Incoming | None", *more: "Any") -> None:
-        # What a NetLink expects of a board's cable, here as of USB.
+        # What a NetLink expects of a board's cable, here as of a UART: see UartLink.
         cable.shared = array("i", (0, 0, 0))
         cable.poll_reset = None
         cable.is_slow = False

@@ -203,7 +203,7 @@ class Rig:
         self._restarts = True
 
     def power_off(self) -> None:
-        """End the machine. Called by a link."""
+        """End the machine: raise PowerOff. Called by a link."""
         raise PowerOff()
 
     def moving(self) -> bool:

@@ -11,7 +11,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 GCONF, GSTAT, IFCNT, NODECONF, IOIN = 0x00, 0x01, 0x02, 0x03, 0x06
-IHOLD_IRUN, TCOOLTHRS, SGTHRS, CHOPCONF, DRV_STATUS = 0x10, 0x14, 0x40, 0x6C, 0x6F
+IHOLD_IRUN, TPOWERDOWN, TPWMTHRS, TCOOLTHRS = 0x10, 0x11, 0x13, 0x14
+SGTHRS, CHOPCONF, DRV_STATUS = 0x40, 0x6C, 0x6F
 # Registers: initial values, readable ones, and writable ones.
 _BEGIN = {
     GCONF: 0x101,
@@ -21,7 +22,9 @@ _BEGIN = {
     DRV_STATUS: 0x80000000,
 }
 _READABLE = (GCONF, GSTAT, IFCNT, IOIN, CHOPCONF, DRV_STATUS)
-_WRITABLE = (GCONF, GSTAT, NODECONF, IHOLD_IRUN, 0x11, 0x13, TCOOLTHRS, SGTHRS, CHOPCONF)
+_WRITABLE = (
+    *(GCONF, GSTAT, NODECONF, IHOLD_IRUN, TPOWERDOWN, TPWMTHRS, TCOOLTHRS, SGTHRS, CHOPCONF),
+)
 # A datagram: sync, address, register with the write flag, four bytes of data unless it is a read
 # request, CRC. The address of the master, in answers, is 255.
 _READ_BYTES, _WRITE_BYTES = 4, 8  # length of a request

@@ -53,7 +53,7 @@ def preview(request: Mapping[str, Any], board: str) -> dict[str, Any]:
     """
     name, lines = _program(request)
     settings = _settings(request.get("settings", {}))
-    accepted = machine.taken(board, on_paper(settings))
+    accepted = machine.taken(board, on_paper(settings))  # without those about switches
     result, trace = trace_program(
         [gcode_file.sanitize(line) for line in lines],
         board=board,
@@ -61,7 +61,7 @@ def preview(request: Mapping[str, Any], board: str) -> dict[str, Any]:
         progress=_end_with_parent(),
     )
     if why := refused(result.stopped):
-        raise Refused(f"the simulated machine does not take its settings: {result.stopped}: {why}")
+        raise Refused(f"the simulated machine refuses its settings: {result.stopped}: {why}")
     motion = trace.motion
     return {
         "name": name,
@@ -124,7 +124,9 @@ def _problems(
         for number, reply in result.errors
     ]
     problems += [_problem(*row) for row in beyond]
-    problems += [_problem(number, f"{text}: is it meant so?") for number, text in result.wide_arcs]
+    problems += [
+        _problem(number, f"{text}: is this intended?") for number, text in result.wide_arcs
+    ]
     problems += [
         _problem(problem.line, problem.text)
         for problem in gcode_file.problems(lines)
@@ -239,9 +241,9 @@ def _request(body: bytes) -> dict[str, Any]:
     try:
         request = json.loads(body)
     except (ValueError, RecursionError) as error:
-        raise Refused(f"what was posted is no JSON: {error}") from error
+        raise Refused(f"the request is no JSON: {error}") from error
     if not isinstance(request, dict):
-        raise Refused("what was posted is no JSON object")
+        raise Refused("the request is no JSON object")
     return request
 
 

@@ -1,8 +1,8 @@
 """Run the simulator in its own process, so that it keeps real time under any load from browsers.
 
 Run as a program, this is that process. It reads its options as a line of JSON on stdin and prints
-its TCP address as a line of JSON on stdout. It ends when stdin closes, and so with the server,
-however that ends.
+its TCP address, or why it cannot start, as a line of JSON on stdout. It ends when stdin closes,
+and so with the server, however that ends.
 """
 
 import json

@@ -210,7 +210,7 @@ def mask_of(letters: str, axes: int) -> int:
     for letter in letters:
         axis = LETTERS[:axes].find(letter)
         if axis < _FIRST_ROTARY or mask >> axis & 1:
-            raise ValueError("ROTARY: %s is none of A, B, C here, or there twice" % letter)
+            raise ValueError("ROTARY: %s is no rotary axis here, or named twice" % letter)
         mask |= 1 << axis
     return mask
 

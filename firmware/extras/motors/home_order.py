@@ -58,7 +58,7 @@ def prepare(options: "Options", board: "ModuleType") -> None:
         for letter in word:
             axis = options.axis_letters[: options.axes].find(letter.encode())
             if axis < 0 or named >> axis & 1:
-                raise ValueError("HOMING: %s is no axis, or there twice" % letter)
+                raise ValueError("HOMING: %s is no axis, or named twice" % letter)
             named |= 1 << axis
             mask |= 1 << axis
         masks[_FIRST_CYCLE + i] = float(mask)

@@ -378,9 +378,9 @@ def prepare(options: "Options", board: "ModuleType") -> None:
     """Check the board file before the machine is created. ValueError without a laser on PIO."""
     option = board.__dict__.get
     if option("TOOL", "spindle") != "laser":
-        raise ValueError('CLUSTERS wants TOOL = "laser"')
+        raise ValueError('CLUSTERS needs TOOL = "laser"')
     if option("ENGINE", "") in ("rmt", "i2s"):
-        raise ValueError("CLUSTERS wants a Pico: others have no machine for a beam")
+        raise ValueError("CLUSTERS needs a Pico: it uses PIO state machines")
     options.line_length = _LINE_LENGTH
     options.spindle = ClusterLaser
 

@@ -186,12 +186,12 @@ def prepare(options: "Options", board: "ModuleType") -> None:
     if not _LOWEST_HZ <= hz <= _HIGHEST_HZ:
         raise ValueError("TOOL = laser: PWM_HZ is %d to %d" % (_LOWEST_HZ, _HIGHEST_HZ))
     if option("SPINDLE_ON", None) is not None:
-        raise ValueError("TOOL = laser: SPINDLE_ON would not follow the beam")
+        raise ValueError("TOOL = laser: remove SPINDLE_ON, it lags the beam")
     # With five motors the PIO programs of beam and radio do not fit together into PIO 1 of an
     # RP2040.
     if option("ENGINE", "") == "pio" and option("MPY_ARCH", "") == "armv6m":
         if len(option("STEP", ())) > _MOST_WITH_RADIO and option("LINK", "usb") == "wifi":
-            raise ValueError('TOOL = laser: with LINK = "wifi" it takes 4 motors at the most')
+            raise ValueError('TOOL = laser: LINK = "wifi" allows 4 motors at most')
     options.defaults = dict(options.defaults)
     options.defaults.setdefault(_PWM_HZ, hz)
     options.spindle = Laser

@@ -17,7 +17,7 @@ REFUSED = b"error:%d\r\n"
 _LOCKED = REFUSED % errors.SYSTEM_GC_LOCK
 _MSG_KEY_NEEDED = b"[MSG:Read only: send the network's key first, $NET/KEY=...]\r\n" + _LOCKED
 _MSG_WRONG_KEY = b"[MSG:Wrong network key]\r\n" + _LOCKED
-MSG_TAKEN = b"[MSG:Somebody else drives]\r\n"
+MSG_TAKEN = b"[MSG:Another has control]\r\n"
 TAKEN = MSG_TAKEN + _LOCKED
 # The first bytes of HTTP requests and of TLS. No line for Grbl begins with two such letters.
 _LETTERS = const(2)  # bytes to compare

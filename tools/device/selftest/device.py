@@ -1,4 +1,7 @@
-"""A real board for the self-test: the device of `ugrbl deploy`, and its lines as they arrive."""
+"""A real board for the self-test: the device of `ugrbl deploy`, and its lines as they arrive.
+
+PATIENCE lengthens time limits if the board is emulated, and slow.
+"""
 
 import contextlib
 import time

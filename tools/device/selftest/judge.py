@@ -111,7 +111,7 @@ def _steps(facts: list[Fact]) -> Iterator[Row]:
 
 def _pulses(facts: list[Fact]) -> Iterator[Row]:
     """Judge pulse width, step period and skew, from edges of the step pins in some windows."""
-    hz, us = facts[0]["hz"], facts[0]["us"]
+    hz, pulse_us = facts[0]["hz"], facts[0]["us"]
     tracks = [edges for window in facts for edges in window["steps"]]  # of each axis
     widths = [ticks for edges in tracks for ticks in highs(edges)]
     gaps = [b - a for edges in tracks for a, b in pairwise(rises(edges))]
@@ -121,8 +121,9 @@ def _pulses(facts: list[Fact]) -> Iterator[Row]:
         return
     slack_us = _EXACT_TICKS * TICK_US
     least_us, most_us = min(widths) * TICK_US, max(widths) * TICK_US
-    good = us - slack_us <= least_us and most_us <= us + 2 * slack_us  # may be a tick longer
-    text = f"{_range(widths)}; {us} asked; {len(widths)} pulses"
+    # It may be a tick longer.
+    good = pulse_us - slack_us <= least_us and most_us <= pulse_us + 2 * slack_us
+    text = f"{_range(widths)}; {pulse_us} asked; {len(widths)} pulses"
     yield Row(f"pulse width{where}", good, text, {"us": [_us(min(widths)), _us(max(widths))]})
     due = _TICK_HZ // hz
     good = all(abs(gap - due) <= _EXACT_TICKS for gap in (min(gaps), max(gaps)))
@@ -289,7 +290,7 @@ def _save(facts: list[Fact]) -> Iterator[Row]:
         text = (
             f"{off_us / 1000:.1f} ms at the most, of {fact['took_ms']} ms; {fact['count']} saves"
         )
-        yield Row(what, off_us < 1_000_000, text, fact)
+        yield Row(what, off_us < 1_000_000, text, fact)  # below a second
 
 
 def _hang(facts: list[Fact]) -> Iterator[Row]:

@@ -148,12 +148,15 @@ def _check_countable(about: About, wiring: Wiring, chip: AnyChip) -> None:
     """Raise DeployError if nothing on the board can count the steps of its engine."""
     if isinstance(chip, Esp) and wiring.engine == "i2s":
         raise DeployError(
-            "ENGINE 'i2s' makes steps behind shift registers: no pin of the chip shows them, so "
-            "nothing on it can count them",
+            "ENGINE 'i2s' makes steps in external shift registers, where the chip cannot count "
+            "them",
             "a board with ENGINE 'rmt' can be tested",
         )
     if wiring.engine != ("rmt" if isinstance(chip, Esp) else "pio"):
-        raise DeployError(f"ENGINE {wiring.engine!r} is none that can be tested", "")
+        raise DeployError(
+            f"the self-test cannot count steps of ENGINE {wiring.engine!r}",
+            "use ENGINE 'pio' on an RP2 chip, 'rmt' on an ESP32",
+        )
     if not isinstance(chip, Esp) and wiring.motors > _MOST_MOTORS:
         raise DeployError(
             f"{wiring.motors} motors (a laser's beam counts as one) leave no free state machine "

@@ -26,9 +26,9 @@ class Clock:
         self.timers: "list[Timer]" = []
         self.call_us = 2  # duration of reading the time, so that a loop that waits for it ends
         self.lost = 0  # number of callbacks that found no place
-        self.in_c_code = False  # no callback can run
+        self.in_c_code = False  # C code runs: callbacks must wait
         self._due = _NEVER  # when the next timer expires
-        self._in_callback = False  # nor can another one
+        self._in_callback = False  # one runs: the others must wait
         self._waiting: "list[tuple[Any, object]]" = []  # callbacks with their arguments
 
     def ticks_us(self) -> int:

@@ -174,7 +174,7 @@ class Pin:
     def irq(
         self,
         handler: "Callable[[Pin], object] | None" = None,
-        trigger: int = 12,
+        trigger: int = 12,  # both edges
         *,
         hard: "bool | None" = None,
     ) -> "_Irq":

@@ -109,7 +109,7 @@ def _factory_code(plain: FunctionType) -> CodeType:
 
 
 def _cache_file(plain: FunctionType) -> Path:
-    """Return the file of the function's code; its name depends on all that the code does."""
+    """Return the file of the function's code; its name depends on all that the code depends on."""
     code, names = plain.__code__, plain.__globals__
     constants = {n: names[n] for n in code.co_names if isinstance(names.get(n), (int, float))}
     source = "".join(linecache.getlines(code.co_filename, names))

@@ -21,6 +21,8 @@ _WORD_JMP, _WORD_OUT, _WORD_PUSH, _WORD_PULL = 0x0000, 0x6000, 0x8000, 0x8080
 _WORD_MOV, _WORD_IRQ, _WORD_SET = 0xA000, 0xC000, 0xE000
 _PLACES = {"pins": 0, "x": 1, "y": 2, "null": 3, "pindirs": 4, "isr": 6, "osr": 7}
 _CONDITIONS = {"not_x": 1, "x_dec": 2, "not_y": 3, "y_dec": 4, "x_not_y": 5, "pin": 6}
+_BLOCK = 0x20  # bit of push and pull: wait while the FIFO is full or empty
+_REL = 0x10  # bit of irq: the flag's number depends on the state machine
 
 
 class PIOASMError(Exception):
@@ -40,8 +42,8 @@ class _Assembler:
         """Return the globals of a program: each instruction is a call of a method."""
         methods = (self.label, self.jmp, self.out, self.pull, self.push, self.mov, self.irq)
         names: dict[str, object] = {method.__name__: method for method in methods}
-        places = {**_PLACES, **_CONDITIONS, "block": 0x20, "noblock": 0}
-        return {**names, **places, "set": self.set, "rel": lambda index: index | 0x10}
+        places = {**_PLACES, **_CONDITIONS, "block": _BLOCK, "noblock": 0}
+        return {**names, **places, "set": self.set, "rel": lambda index: index | _REL}
 
     def __getitem__(self, delay: int) -> None:
         """Delay the last instruction: `set(pins, 1)[5]`."""
@@ -72,10 +74,10 @@ class _Assembler:
             raise PIOASMError(f"invalid bit count {bits}")
         return self._emit(_WORD_OUT | place << 5 | bits & 0x1F)  # 32 is encoded as 0
 
-    def push(self, block: int = 0x20) -> "_Assembler":
+    def push(self, block: int = _BLOCK) -> "_Assembler":
         return self._emit(_WORD_PUSH | block)
 
-    def pull(self, block: int = 0x20) -> "_Assembler":
+    def pull(self, block: int = _BLOCK) -> "_Assembler":
         return self._emit(_WORD_PULL | block)
 
     def mov(self, place: int, source: int) -> "_Assembler":
@@ -110,7 +112,7 @@ def asm_pio(
         if len(words) > _SIZE:
             raise PIOASMError("program too long")
         not_loaded = [-1, -1, -1]  # offsets in the blocks
-        execctrl = (len(words) - 1) << 12  # the last instruction; the first one follows it
+        execctrl = (len(words) - 1) << 12  # after the last instruction, the first one follows
         shiftctrl = out_shiftdir << 19 | in_shiftdir << 18
         return [words, *not_loaded, execctrl, shiftctrl, out_init, set_init, None]
 
@@ -183,7 +185,7 @@ class DMA:
     claimed = 0
 
     def __init__(self) -> None:
-        if DMA.claimed == (16 if _is_rp2350() else 12):
+        if DMA.claimed == (16 if _is_rp2350() else 12):  # all channels
             raise OSError(16)  # EBUSY
         self.channel = DMA.claimed
         DMA.claimed += 1

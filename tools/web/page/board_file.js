@@ -99,22 +99,22 @@ function itemProblem(draft, known, item, pins) {
   const count = item.perAxis ? (known.STEP || pins).length : 1;
   const axes = new Set(draft.motors).size || (known.STEP || []).length;
   const wanted = [...new Set(name === "LIMIT" ? [count, axes || count] : [count])].sort((a, b) => a - b);
-  if (name === "STEP" && pins.length > chip.most_motors) return t`${chip.engine} has pulses for ${chip.most_motors} motors at most`;
+  if (name === "STEP" && pins.length > chip.most_motors) return t`${chip.engine} drives ${chip.most_motors} motors at most: name fewer pins`;
   if (!wanted.includes(pins.length)) {
     const many = wanted.join(t` or `);
-    return many === "1" ? t`${name} wants 1 pin, not ${pins.length}` : t`${name} wants ${many} pins, not ${pins.length}`;
+    return many === "1" ? t`${name} needs 1 pin, not ${pins.length}` : t`${name} needs ${many} pins, not ${pins.length}`;
   }
   const used = usesOf(known);
   for (const [index, pin] of pins.entries()) {
     if (pin === null) {
-      if (name !== "LIMIT") return t`${name}: None is for limit switches that are not there`;
+      if (name !== "LIMIT") return t`${name}: only LIMIT may have None: name a pin`;
       continue;
     }
     if (!chip.pins.includes(pin)) return t`${name}: ${translated(chip.title)} has no pin ${pin} to connect to`;
     if (BOARDS.quick.includes(name) && pin > chip.last_quick) {
       return t`${name}: pin ${pin} cannot do it: steps, directions, limits, probe and buttons have to be pins up to ${chip.last_quick}`;
     }
-    if (item.output && chip.inputs_only.includes(pin)) return t`${name}: pin ${pin} of ${translated(chip.title)} can only read`;
+    if (item.output && chip.inputs_only.includes(pin)) return t`${name}: pin ${pin} of ${translated(chip.title)} is an input only: choose another`;
     if (used.has(pin)) return t`${name}: pin ${pin} is ${used.get(pin)} already`;
     if (name !== "LIMIT" && pins.indexOf(pin) < index) return t`${name} names pin ${pin} twice`;
   }
@@ -140,7 +140,7 @@ function loosePins(draft, known, name, pins) {
 function pinProblems(draft) {
   const found = [], known = {}, items = Object.fromEntries(ITEMS.map((item) => [item.name, item]));
   const axes = axesOf(draft);
-  if (axes < FEWEST_AXES) found.push(t`STEP wants ${FEWEST_AXES} pins, for ${AXES.slice(0, FEWEST_AXES)}`);
+  if (axes < FEWEST_AXES) found.push(t`STEP needs ${FEWEST_AXES} pins, for ${AXES.slice(0, FEWEST_AXES)}`);
   for (const [name, pins] of heldPins(draft)) {
     if (items[name] && !(name === "ENABLE" && pins.length > 1)) {
       const problem = itemProblem(draft, known, items[name], pins);
@@ -151,7 +151,7 @@ function pinProblems(draft) {
     } else found.push(...loosePins(draft, known, name, pins));
     known[name] = pins;
     if (name === "STEP" && !draft.motors && pins.length > MOST_LETTERS) {
-      found.push(t`STEP has ${pins.length} pins and there are ${MOST_LETTERS} axes: MOTORS says which each moves, "${(AXES + AXES).slice(0, pins.length)}" say`);
+      found.push(t`STEP has ${pins.length} pins, but there are ${MOST_LETTERS} axes: name the axis of each in MOTORS, as in "${(AXES + AXES).slice(0, pins.length)}"`);
     }
   }
   return found;
@@ -176,7 +176,7 @@ function valueProblems(draft) {
 function networkProblems(draft) {
   const chip = BOARDS.chips[draft.chip], { LINK, PAGE } = valuesOf(draft), wireless = Object.values(BOARDS.wireless);
   if (PAGE && chip.mpy_arch === BOARDS.tooSmall) return [translated(BOARDS.noPage)];
-  if (PAGE && !wireless.includes(LINK)) return [t`PAGE: it wants a network, LINK = "wifi", or "uart_wifi" on an ESP32`];
+  if (PAGE && !wireless.includes(LINK)) return [t`PAGE: it needs a network, LINK = "wifi", or "uart_wifi" on an ESP32`];
   return !chip.radio && wireless.includes(LINK) ? [t`LINK: ${translated(chip.title)} has no radio`] : [];
 }
 
@@ -219,7 +219,7 @@ function motorsProblem({ motors, pins, options }) {
 function apartProblem(name, says, draft) {
   if (!says[name]) return "";
   const other = BOARDS.apart[name].find((word) => says[word] || (word === "ROTARY" && draft.rotary) || draft.kept?.[word]);
-  return other ? t`${name} and ${other} are not for the same machine` : "";
+  return other ? t`${name} and ${other} cannot be combined` : "";
 }
 
 function rotaryProblem({ rotary }, axes) {
@@ -227,7 +227,7 @@ function rotaryProblem({ rotary }, axes) {
     const axis = AXES.slice(0, axes).indexOf(letter);
     return axis < FEWEST_AXES || rotary.indexOf(letter) < index;
   });
-  return wrong ? t`ROTARY: ${wrong} is none of A, B, C here, or there twice` : "";
+  return wrong ? t`ROTARY: ${wrong} is no rotary axis here, or named twice` : "";
 }
 
 const MOST_CYCLES = 6;
@@ -235,7 +235,7 @@ function homingProblem(words = [], axes) {
   if (words.length > MOST_CYCLES) return t`HOMING has ${words.length} parts: there may be ${MOST_CYCLES}`;
   const letters = words.join("");
   const wrong = [...letters].find((letter, index) => AXES.slice(0, axes).indexOf(letter) < 0 || letters.indexOf(letter) < index);
-  return wrong ? t`HOMING: ${wrong} is no axis, or there twice` : "";
+  return wrong ? t`HOMING: ${wrong} is no axis, or named twice` : "";
 }
 
 /** Problems of limit inputs that axes share. */
@@ -268,13 +268,13 @@ function toolProblem(draft, says) {
   const chip = BOARDS.chips[draft.chip], hz = says.PWM_HZ ?? 5000;
   if (says.TOOL === "laser") {
     if (hz < BEAM_HZ[0] || hz > BEAM_HZ[1]) return t`TOOL = laser: PWM_HZ is ${BEAM_HZ[0]} to ${BEAM_HZ[1]}`;
-    if (draft.pins.SPINDLE_ON?.length) return t`TOOL = laser: SPINDLE_ON would not follow the beam`;
+    if (draft.pins.SPINDLE_ON?.length) return t`TOOL = laser: remove SPINDLE_ON, it lags the beam`;
     const tight = chip.engine === "pio" && chip.mpy_arch === "armv6m" && says.LINK === "wifi";
-    if (tight && draft.pins.STEP.length > BESIDE_RADIO) return t`TOOL = laser: with LINK = "wifi" it takes ${BESIDE_RADIO} motors at the most`;
+    if (tight && draft.pins.STEP.length > BESIDE_RADIO) return t`TOOL = laser: LINK = "wifi" allows ${BESIDE_RADIO} motors at most`;
   }
   if (!says.CLUSTERS) return "";
-  if (says.TOOL !== "laser") return t`CLUSTERS wants TOOL = "laser"`;
-  return chip.engine === "pio" ? "" : t`CLUSTERS wants a Pico: others have no machine for a beam`;
+  if (says.TOOL !== "laser") return t`CLUSTERS needs TOOL = "laser"`;
+  return chip.engine === "pio" ? "" : t`CLUSTERS needs a Pico: it uses PIO state machines`;
 }
 
 /** Every problem, in the words of `ugrbl build` and `ugrbl deploy`; [] for a correct board. */

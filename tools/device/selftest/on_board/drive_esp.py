@@ -37,7 +37,7 @@ class Drive(Mover):
     def __init__(self):
         engine, self.port, _ = make(board, NoLink())
         self.most_hz = highest_hz(engine)
-        gaps = (1_000_000 // self.most_hz, SLOWEST_US)
+        gaps = (1_000_000 // self.most_hz, SLOWEST_US)  # in ticks, which are us
         super().__init__(
             engine,
             TICK_HZ,

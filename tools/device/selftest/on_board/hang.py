@@ -19,7 +19,7 @@ from .say import say
 BETWEEN_MS = 150  # between lines
 SAY_EVERY_MS = 200  # between reports during the hang
 
-usual_run = realtime.Realtime.run  # the main loop calls it to read
+firmware_run = realtime.Realtime.run  # the main loop calls it to read
 usual_making = lines.LineReader.__init__
 readers = []  # the machine's line reader, once it is created
 program = list(CONFIG["program"])  # lines still to be fed
@@ -34,7 +34,7 @@ def make_reader(self, *rest, **named):
 
 def read_or_hang(self):
     """Replace Realtime.run: after it, feed the lines of the program one by one, then hang."""
-    usual_run(self)
+    firmware_run(self)
     if not readers or time.ticks_diff(time.ticks_ms(), last_fed_ms[0]) < BETWEEN_MS:
         return
     last_fed_ms[0] = time.ticks_ms()

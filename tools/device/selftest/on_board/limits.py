@@ -39,7 +39,7 @@ def shoot(plan: ptr32) -> int:
     dma = ptr32(plan[0])  # its registers: 1 write address, 2 words left, 7 count, which starts it
     dma[1] = plan[1]
     dma[7] = plan[2]
-    ptr32(plan[3])[0] = 1 << 2  # enables the sampling machine
+    ptr32(plan[3])[0] = 1 << 2  # enables the sampling machine, 6: number 2 of PIO 1
     while dma[2] > plan[4]:
         pass
     plan[5] = dma[2]
@@ -60,7 +60,7 @@ class ForcedEdge:
     def __init__(self):
         self._plan = plan = array("i", [0] * 8)
         length = sampler.length
-        plan[DMA] = 0x50000000 + 0x40 * sampler.dma.channel  # 0x40 bytes of registers for each
+        plan[DMA] = 0x50000000 + 0x40 * sampler.dma.channel  # DMA's base; 0x40 bytes per channel
         plan[WRITE] = address_of(sampler.words)
         plan[COUNT] = length
         plan[ENABLE] = PIO1 + SET
@@ -155,7 +155,7 @@ def check_stops(drive, port, limit_count, forced_edge):
             port.enable_limits(True)
             port.revive()  # outputs work again after the last limit's kill()
             backward = random_between(0, (1 << AXES) - 1)  # a mask of axes
-            # More steps than it can make until the limit.
+            # At the highest rate of pulses of 3 us; more steps than it can make until the limit.
             drive.plan_even(drive.engine.max_step_hz(3), 1 << 20, backward)
             drive.start()
             edge_tick = forced_edge.fire(pins[index % len(pins)], collect)

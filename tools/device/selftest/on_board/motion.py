@@ -97,7 +97,7 @@ def stop_at_random(drive):
 
     for index in range(CONFIG["stops"]):
         watch_others(drive, index)
-        plan_random(drive, 1000)
+        plan_random(drive, rows=1000)
         drive.start()
         delay_us = random_between(300, 9000)
         if index & 1:

@@ -67,7 +67,7 @@ def stop_at_random(drive):
     stop = drive.engine.stop
     for k in range(CONFIG["stops"]):
         drive.count(AXES)
-        plan_random(drive, 1000)
+        plan_random(drive, rows=1000)
         drive.start()
         delay_ms = random_between(3, 60)
         if k & 1:

@@ -80,7 +80,7 @@ class Mover:
         self._plan = array("i", [0] * (ROW + 3 + 3 * AXES))
         self._plan[LENGTH] = 3 + 3 * AXES
         self._steps = array("i", [0] * AXES)
-        self.engine.attach(make_serve(self._plan), nothing, nothing)
+        self.engine.attach(make_serve(self._plan), nothing, nothing)  # no on_power, on_rest
         self.pulse(10)
 
     def pulse(self, us):

@@ -37,7 +37,7 @@ def count_steps(drive, hz, name):
 def plan_random(drive, rows):
     """Plan `rows` segments with random steps, at a random rate in random directions."""
     gap = random_between(drive.random_gaps[0], drive.random_gaps[1])
-    most = max(min(4000, drive.random_ticks // gap), 1)
+    most = max(min(4000, drive.random_ticks // gap), 1)  # PIO rows have 4095 at most
     counts = [random_between(0, most) for _ in range(AXES)]
     counts[random_between(0, AXES - 1)] = most  # one axis makes all of them
     drive.plan(
