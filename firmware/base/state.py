@@ -146,6 +146,7 @@ class State:
         """Reset everything except the run state and the pending events and alarm."""
         self.invalidate_lines()
         self.suspend = 0  # mask of HOLD_COMPLETE to JOG_CANCEL
+        self.suspension_has_begun = False  # Suspension.start() was called for it
         self.soft_limit = False  # the alarm of a soft limit follows, once motion has stopped
         self.holding = False  # motion is slowing down, or has stopped, for a hold
         self.system_motion = False  # a parking move is being executed

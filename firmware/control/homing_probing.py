@@ -13,6 +13,8 @@ from motion import planner as plan
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from interfaces import Machine
     from motion.planner import Move
 
@@ -56,6 +58,7 @@ class HomingProbing:
         self._move = plan.Move()
         self.probe_steps = array("i", (0 for _ in range(motors)))
         self.homed = 0
+        self.goes_on = False  # an extra homes other axes next, as one homing
 
     # Probing (G38.2 to G38.5)
 
@@ -169,9 +172,23 @@ class HomingProbing:
         else:
             find(1 << Z)
             find(((1 << self._planner.axes) - 1) & ~(1 << Z))
+        if self.goes_on:
+            return True  # the next axes' first move makes a reset or the door an alarm
         self._canon.service()
         state.stop_override = 0  # of a hold during homing, which has no effect
         self._resync()
+        return True
+
+    def home_in_turn(self, home: "Callable[[int], bool]", cycles: "list[int]") -> bool:
+        """Call home() with each of these masks of axes, as one homing: between them a reset or
+        the door is an alarm, and a hold has no effect. Returns whether all have succeeded."""
+        try:
+            for i in range(len(cycles)):
+                self.goes_on = i + 1 < len(cycles)
+                if not home(cycles[i]):
+                    return False
+        finally:
+            self.goes_on = False
         return True
 
     def find_switches(self, axes: int) -> None:

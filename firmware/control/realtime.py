@@ -73,11 +73,23 @@ class Realtime:
     def wait_suspended(self) -> None:
         """Wait until motion is no longer suspended; meanwhile run the suspension. Raises Abort
         after a reset."""
-        self._suspension.start()
         while self._state.suspend:
-            self._suspension.run_step()
+            self.advance_suspension()
             self._motor_control.pump()
             self.handle_events()
+        self._state.suspension_has_begun = False
+
+    def advance_suspension(self) -> None:
+        """Run one turn of the suspension, if there is one: for a loop that reads the link itself.
+        wait_suspended() goes on with it."""
+        state = self._state
+        if not state.suspend:
+            state.suspension_has_begun = False
+            return
+        if not state.suspension_has_begun:
+            state.suspension_has_begun = True
+            self._suspension.start()
+        self._suspension.run_step()
 
     def handle_events(self) -> None:
         """Handle everything that is posted, in the order that the module states; poll the motors

@@ -111,6 +111,8 @@ def start(connection: Connection, name: str, line: str = "") -> str:
     because the board scans the program first. Return when no other message has followed for
     _FIRST_S. SendError if there is no message, or if a line was refused.
     """
+    if not connection.takes_overrides:  # Grbl 0.9, where @ opens the safety door
+        line = line.replace("@", ",")
     _ask(connection, f"$F={name}{line}")
     messages: list[str] = []
     until = time.monotonic() + _BEGUN_S

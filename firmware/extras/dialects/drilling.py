@@ -51,6 +51,7 @@ _ABSOLUTE = const(0)  # instead of the number of a hole: G90
 _LEAST_Q = 0.001  # mm or inches
 # Attributes of Drilling that hold for the next line.
 _KEPT = ("cycle", "ends_at_r", "_kept", "_kept_for", "_start_mm", "_motion_before", "_open_before")
+_MOST_TIMES = const(65535)  # L
 _THINNEST_PECK = 0.0001  # mm or inches: a thinner last one is drilled with the one above it
 
 
@@ -215,7 +216,10 @@ class Drilling:
         try:
             for line in holes.lines():
                 self._machine.protocol.service()
-                self._run(line)
+                try:
+                    self._run(line)
+                except GrblError:  # out of a kinematics' reach: others were checked by plan()
+                    self._machine.canon.stop_with_alarm(errors.ALARM_SOFT_LIMIT)  # raises Abort
         finally:
             modal[RELATIVE] = relative_before
 
@@ -249,6 +253,8 @@ class Drilling:
                 in_plane.append((given[_AXIS_LETTERS[axis]], self._position(axis), axis))
         times = int(float(given.get("L", "1")))
         holes.hole_words = self._words_of_holes(in_plane, times)
+        # Last, because it replaces the checked line: a machine may lack the axis (XYUV).
+        self._check("G90G0" + holes.letter + holes.r)
         return holes
 
     def _split(self, words: "list[Word]") -> "tuple[int, dict[str, str], list[Word]]":
@@ -356,6 +362,8 @@ def _check_numbers(holes: Holes, given: "dict[str, str]") -> None:
         if letter in given and letter not in needed + optional:
             raise GrblError(errors.GCODE_UNUSED_WORDS)
     times = float(given.get("L", "1"))
+    if times > _MOST_TIMES:
+        raise GrblError(errors.GCODE_MAX_VALUE_EXCEEDED)
     if times != int(times):
         raise GrblError(errors.GCODE_COMMAND_VALUE_NOT_INTEGER)
     if times < 1 or float(kept.get("Q", "1")) < _LEAST_Q or float(kept.get("P", "0")) < 0:

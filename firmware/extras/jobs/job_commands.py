@@ -164,10 +164,11 @@ class Jobs:
         self._machine.saves.save(BUTTON, [self._existing_name(name)] if name else [])
 
     def _request_job(self, name: str) -> None:
-        """Request a job: NAME, NAME@LINE, or NAME@ and @ for the noted line of the unfinished job.
-        GrblError if it cannot start."""
+        """Request a job: NAME, NAME@LINE, or NAME@ and @ for the noted line of the unfinished job;
+        or a comma for the @. GrblError if it cannot start."""
         if self._machine.state.run == st.ALARM:
             raise GrblError(errors.SYSTEM_GC_LOCK)
+        name = name.replace(",", "@")  # where @ is a real-time byte: DIALECT 0.9
         starts_in_middle = "@" in name
         name, _, number = name.partition("@")
         if starts_in_middle and not number:

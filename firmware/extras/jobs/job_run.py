@@ -70,6 +70,7 @@ class JobRun:
         self._file_to_enter: "IO[bytes] | None" = None
         self._pressed = bytearray(1)
         self._has_started = False  # on_reset() has run once
+        self._is_check = False  # the job was started in check mode
 
     def is_on(self) -> bool:
         """Return whether a job runs."""
@@ -110,6 +111,7 @@ class JobRun:
             self.report(name, "cannot be read")
             return
         self._name, self._refused = name, 0
+        self._is_check = self._machine.state.run == st.CHECK  # the job itself may contain $C
         try:
             self._read_size_and_crc(file)
             if self._machine.reader.has_line():
@@ -140,14 +142,12 @@ class JobRun:
         """Set _size, and _requested_crc unless it is known. Leave the file at its beginning.
         CannotEnter if the machine is held meanwhile."""
         if self._requested_crc == _CRC_UNKNOWN:
-            crc = 0
-            while True:
-                piece = file.read(_PIECE_BYTES)
-                if not piece:
-                    break
+            crc, piece = 0, file.read(_PIECE_BYTES)
+            while piece:
                 crc = binascii.crc32(piece, crc)
                 if len(piece) == _PIECE_BYTES:  # a shorter one is the last
                     self._entry.poll_realtime()
+                piece = file.read(_PIECE_BYTES)
             self._requested_crc = crc
         self._size = file.seek(0, 2)  # the end of the file
         file.seek(0)
@@ -253,7 +253,7 @@ class JobRun:
             if self._refused or feed.fault:
                 self._report_refusal(line + 1)
             else:
-                if self._machine.state.run != st.CHECK:
+                if not self._is_check:
                     self._tool_off()  # perhaps nobody is there
                 self._store_line(0)
                 self.report(self._name, "done, %d lines" % line)

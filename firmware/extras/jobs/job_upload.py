@@ -145,6 +145,7 @@ class Upload:
         if count:
             reader.feed(self._buffer, count)
         self._machine.realtime.handle_events()
+        self._machine.realtime.advance_suspension()  # a hold or the door switches the tool off
         return reader.free() != free_before
 
     def _drain_and_refuse(self, why: str) -> None:

@@ -51,10 +51,11 @@ class RotaryPlanner(Planner):
 
     linear: mask of linear axes. arc_factor: of the arc requested, its length with rotary axes per
     length without them, a real. _rate_factor: factor of rate(): arc_factor while an arc is
-    planned, else minifloat.ONE. block: the interpreter's.
+    planned, else minifloat.ONE. block: the interpreter's. synced: the plan has been cleared.
     """
 
     linear = 0
+    synced = False
     arc_factor = minifloat.ONE
     block: "Block"
 
@@ -76,6 +77,11 @@ class RotaryPlanner(Planner):
                 factor = _PER_INCH if self.block.ints[INCHES] else minifloat.ONE
             rate = minifloat.mul(rate, factor)
         return self.plan(target, flags, line, power, rate)
+
+    def sync_motors(self, motors: "array[int]") -> None:
+        """Synchronise with the motors, as Planner.sync_motors()."""
+        super().sync_motors(motors)
+        self.synced = True
 
     def chords(self, course: "array[int]", move: "Move", power: int, moves: bool) -> int:
         """Plan an arc's chords, as Planner.chords(). rate() multiplies its result by arc_factor
@@ -117,14 +123,23 @@ class RotaryCanon(Canon):
         return [axis for axis in self.axes if not self._settings.max_travel[axis]]
 
     def outside(self, target: "array[float]") -> bool:
-        """Return Canon.outside(), after unwinding endless axes: a jog is checked by this."""
-        self._unwind(target)
-        return super().outside(target)
+        """Return Canon.outside(), which checks a jog. Endless axes may go as far as any axis:
+        _plan_line() unwinds them."""
+        for axis in self.endless():
+            self.limit(axis, self.planner.reach_mm(axis))
+        is_outside = super().outside(target)
+        for axis in self.endless():
+            self.limit(axis, _EXACT_STEPS / self.planner.steps_per_mm[axis])
+        return is_outside
 
     def _plan_line(self, target: "array[float]", move: "Move") -> None:
-        """Plan a line, as Canon._plan_line(). Unwind endless axes first."""
+        """Plan a line, as Canon._plan_line(). Unwind endless axes first. A jog that is cancelled
+        while it waits for that is dropped."""
+        planner = self.planner
+        planner.synced = False  # True again once a jog is cancelled
         self._unwind(target)
-        super()._plan_line(target, move)
+        if not (self._is_jog and planner.synced):
+            super()._plan_line(target, move)
 
     def _unwind(self, target: "array[float]") -> None:
         """Subtract whole turns from endless axes whose target is beyond _EXACT_STEPS. target: mm
@@ -144,6 +159,8 @@ class RotaryCanon(Canon):
                 while not planner.empty() or self._motor_control.moving:
                     self.auto_start()  # else planned lines would not be executed yet
                     self.service()
+                if self._is_jog and planner.synced:
+                    return
                 degrees = self._whole_turns(axis, target)  # a hold may have ended the motion
                 self._subtract(axis, degrees)
             if degrees:
@@ -180,6 +197,7 @@ class RotaryCanon(Canon):
             motors[axis] = position
         engine.set_position(motors)
         planner.sync_motors(motors)
+        planner.synced = False
 
     def arc(self, start: "array[float]", target: "array[float]", arc: "Arc", move: "Move") -> None:
         """Request an arc, as Canon.arc(). The time of G93 applies to all axes.
@@ -199,7 +217,7 @@ class RotaryCanon(Canon):
                 linear_sqr += (target[i] - start[i]) ** 2
         linear_sqr += (arc.numbers[RADIUS] * arc.sweep(start, target)) ** 2  # the circle's length
         self.planner.arc_factor = minifloat.ONE
-        if linear_sqr:
+        if 0 < linear_sqr < math.inf:  # not NaN, of an arc with an infinite radius
             self.planner.arc_factor = minifloat.real(math.sqrt(1 + rotary_sqr / linear_sqr))
 
 
@@ -261,7 +279,10 @@ def _hook_homing(machine: "Any", axes_in_cycle: int) -> None:
     def home(axes: int) -> bool:
         """Home the axes, a mask; 0: all that $H includes. Returns whether that succeeded."""
         if axes == 0:  # $H in Grbl's own order: Z, then all others together
-            return home(1 << Z) and home(axes_in_cycle & ~(1 << Z))
+            in_turn: bool = machine.homing_probing.home_in_turn(
+                home, [1 << Z, axes_in_cycle & ~(1 << Z)]
+            )
+            return in_turn
         endless = [axis for axis in canon.endless() if axes >> axis & 1]
         for axis in endless:
             settings.max_travel[axis] = _TURN

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 _SAMPLE_SHARE = 0.7  # of the tolerance, at a quarter of a chord
 _FINEST_MM = 0.0005  # least tolerance: single precision cannot follow a path more closely
 _LONGEST_MM = 5.0  # longest chord: two samples do not show every bend of a longer one
+_FAR_MM = 1e9  # a longer path is out of reach of every machine
 _SHORTEST_CHORD = 0.25  # in tolerances; not cut further, because there motors turn on the spot
 _MOST_DEVIATION = 2.0  # of such a chord, in tolerances; beyond it the position is out of reach
 _MOST_GROWTH = 2.0  # length ratio of a chord to the one before, at most
@@ -156,6 +157,8 @@ class Segmenter:
         The first try has the length predicted from the chord before. It is cut until its deviation
         is within the tolerance. step, longest: lengths as parts of the path.
         """
+        if not self.path.length < _FAR_MM:  # also NaN
+            return False
         longest = _LONGEST_MM / (self.path.length or 1.0)
         step = min(self._next_length, 1 - self._chord_begin)
         allowed = self.tolerance * _SAMPLE_SHARE

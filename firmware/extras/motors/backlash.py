@@ -53,6 +53,7 @@ EXCLUDED = (
     "JERK",
     "CLUSTERS",
     "PARKING",
+    "POWER_FAIL_UP_MM",
 )
 
 
@@ -218,7 +219,9 @@ class BacklashCanon(Canon):
         if not self._note_directions():
             return True
         planner.synced = False  # True again once a jog is cancelled, or after a reset
-        while not planner.empty() or self._motor_control.moving or self._state.run == st.HOLD:
+        # A jog cannot follow a program's motion before its state has ended, too.
+        under_way = st.HOLD | st.RUN if self._is_jog else st.HOLD
+        while not planner.empty() or self._motor_control.moving or self._state.run & under_way:
             self.auto_start()
             self.service()
         # More than once if a hold has ended the move early.
@@ -267,7 +270,11 @@ class BacklashCanon(Canon):
         planner, motor_control = self.planner, self._motor_control
         kinematics = planner.kinematics
         axes = range(planner.axes)
-        power = 0 if self._spindle.laser else self.power_of(move)  # the tool stands still
+        power = 0
+        if self._spindle.laser:  # dark, because it stands still: also after a hold of this move
+            self._state.spindle[st.RPM] = 0.0
+        else:
+            power = self.power_of(move)
         self.engine.position(self._before)
         for i in axes:  # reported meanwhile for the axes of the mask `standing`
             kinematics.standing_at[i] = kinematics.axis_steps(self._before, i)
@@ -275,6 +282,7 @@ class BacklashCanon(Canon):
         kinematics.standing = sum([1 << i for i in axes if self._steps_to_turn[i]])
         try:
             motor_control.start(st.JOG if self._is_jog else st.RUN)
+            self.service()  # raises Abort if an extra has refused the start
             while motor_control.moving or self._state.run == st.HOLD:  # a hold ends a little later
                 self.service()
         finally:

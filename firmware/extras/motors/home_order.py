@@ -70,6 +70,7 @@ def install(cnc: "Cnc") -> None:
     """Let $H use the order of $44 to $49, and the rates of $180 and $190. A command for one axis
     ($HX) has no order."""
     hooks, settings = cnc.machine.state.hooks, cnc.machine.settings
+    homing = cnc.machine.homing_probing
     all_axes = (1 << cnc.machine.planner.axes) - 1
     previous = hooks.home
 
@@ -78,7 +79,7 @@ def install(cnc: "Cnc") -> None:
         cycles = [getattr(settings, attribute) for _, attribute, _, _, _ in _CYCLES]  # masks
         if axes or not any(cycles):  # $HX, or $H in Grbl's own order
             return previous(axes)
-        return all(previous(mask) for mask in cycles if mask)
+        return homing.home_in_turn(previous, [mask for mask in cycles if mask])
 
     def check(mask: float) -> None:
         """Refuse a value of $44 to $49 with axes that this machine has not."""
