@@ -161,7 +161,7 @@ class Canon:
             if jogs and state.run != st.JOG:  # cancelled while it waited: do not plan it
                 return
         if not self.planner.line(target, move, self.power_of(move)):  # it has no steps
-            self._apply_zero_length(move)
+            self.apply_zero_length(move)
 
     def make_room(self) -> None:
         """Prepare to plan a block: handle posted events, and wait until one is free. Raises Abort
@@ -200,9 +200,9 @@ class Canon:
             elif reason == FULL:
                 self.auto_start()
             elif reason:  # NOWHERE: a chord without steps
-                self._apply_zero_length(move)
+                self.apply_zero_length(move)
 
-    def _apply_zero_length(self, move: "Move") -> None:
+    def apply_zero_length(self, move: "Move") -> None:
         """Apply a move without steps: a laser's S still takes effect, if M3 has switched it on."""
         if self._spindle.laser and move.flags & plan.SPINDLE_CW:
             self.spin(plan.SPINDLE_CW, move.spindle_rpm)

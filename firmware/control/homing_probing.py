@@ -76,6 +76,7 @@ class HomingProbing:
         state.probe_succeeded = False
         # probe(): it touches. It must not touch yet; with away it must.
         if self._inputs.probe() != away:
+            self._canon.apply_zero_length(move)  # a beam is dark in a probing, also without motion
             self._motor_control.fail(errors.ALARM_PROBE_FAIL_INITIAL)
             return False
         self._contact = False
@@ -176,6 +177,7 @@ class HomingProbing:
             return True  # the next axes' first move makes a reset or the door an alarm
         self._canon.service()
         state.stop_override = 0  # of a hold during homing, which has no effect
+        state.update_spindle = False  # homing has stopped it: a hold must not start it
         self._resync()
         return True
 

@@ -4,7 +4,8 @@ from base import state as st
 from micropython import const
 
 from control.coolant import FLOOD, MIST
-from control.modes import COOLANT, RPM, SPINDLE
+from control.modes import COOLANT, MOTION, RPM, SPINDLE
+from control.spindle import CW, OFF
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ _OVERRIDES = {
 _SPINDLE_STOP = const(0x9E)  # real-time bytes
 _FLOOD_TOGGLE = const(0xA0)
 _MIST_TOGGLE = const(0xA1)
+_LAST_CUTTING = const(3)  # the number of G3; G1 is the first
 _LOWEST = const(10)  # percent, of feed and spindle
 _HIGHEST = const(200)
 
@@ -131,6 +133,16 @@ class Overrides:
         state = self._state
         if self._spindle.laser and not state.stop_override:
             self.stop_spindle()
+
+    def darken(self) -> None:
+        """Switch off a laser that the modes keep dark while idle (M4, or no G1, G2 or G3), and
+        report one that is off as such. Called where no block does it: in a new laser mode, or
+        after blocks were dropped."""
+        modal, spindle = self._modes.modal, self._spindle
+        if spindle.laser and modal[SPINDLE]:
+            cuts = modal[SPINDLE] == CW and 1 <= modal[MOTION] <= _LAST_CUTTING
+            lit = cuts and spindle.direction() != OFF
+            spindle.restore(modal[SPINDLE], self._modes.rates[RPM] if lit else 0.0)
 
     def stop_spindle(self) -> None:
         """Request that a hold stops the spindle or, if this override has stopped it, starts it

@@ -73,23 +73,18 @@ class Realtime:
     def wait_suspended(self) -> None:
         """Wait until motion is no longer suspended; meanwhile run the suspension. Raises Abort
         after a reset."""
+        self._suspension.start()
         while self._state.suspend:
-            self.advance_suspension()
+            self._suspension.run_step()
             self._motor_control.pump()
             self.handle_events()
-        self._state.suspension_has_begun = False
 
     def advance_suspension(self) -> None:
         """Run one turn of the suspension, if there is one: for a loop that reads the link itself.
         wait_suspended() goes on with it."""
-        state = self._state
-        if not state.suspend:
-            state.suspension_has_begun = False
-            return
-        if not state.suspension_has_begun:
-            state.suspension_has_begun = True
+        if self._state.suspend:
             self._suspension.start()
-        self._suspension.run_step()
+            self._suspension.run_step()
 
     def handle_events(self) -> None:
         """Handle everything that is posted, in the order that the module states; poll the motors
@@ -150,6 +145,8 @@ class Realtime:
                 state.enter(st.HOLD)
             if door:
                 self._open_door()
+        elif door and self._motor_control.is_on():  # after a failed probing, or in check mode
+            self._motor_control.reset()
         if sleep:
             if state.run == st.ALARM:  # there is nothing to stop or retract
                 state.suspend |= st.RETRACT_COMPLETE | st.HOLD_COMPLETE
@@ -207,6 +204,7 @@ class Realtime:
         self._segments.hold(False)
         has_motion = not self._planner.empty() and not state.suspend & st.MOTION_CANCEL
         state.suspend = 0
+        state.suspension_has_begun = False
         state.enter(st.IDLE)
         touches = self._motor_control.touches  # set while probing; a contact: do not move on
         if has_motion and not (touches and touches()):
@@ -229,12 +227,14 @@ class Realtime:
             self._planner.clear()
             self._resync()
             state.holding = False
+            self._overrides.darken()  # the blocks dropped were to set its power
         # As in Grbl, `holding` stays after a contact: until motion starts, a reset is an alarm.
         if state.suspend & st.DOOR_AJAR:  # it was opened during a jog, which has ended now
             state.suspend = state.suspend & ~st.JOG_CANCEL | st.HOLD_COMPLETE
             state.enter(st.DOOR)
         else:
             state.suspend = 0
+            state.suspension_has_begun = False
             state.enter(st.IDLE)
             if state.update_spindle:  # the override came after the last block was read
                 self._overrides.override_spindle()

@@ -67,6 +67,9 @@ def power_from_rpm(scale: ptr32, flags: int) -> int:
         multiply(scale, ASKED, scale, _FINE_GRADIENT)
     else:
         lowest = scale[_LOWEST]
+        if rpm == 0 and scale[LASER]:  # dark, also with $30=0 or $31 above $30
+            scale[RPM] = 0
+            return 0
         if rpm >= highest or lowest >= highest:
             scale[RPM] = highest
             return scale[_FULL_POWER]  # a whole number

@@ -104,9 +104,12 @@ class Suspension:
     # Feed hold
 
     def start(self) -> None:
-        """Begin a suspension: store what spindle and coolant do in the block being executed, or
-        the next one; without a block, as programmed. A laser is switched off by a spindle stop
-        override."""
+        """Begin a suspension, unless it has begun: store what spindle and coolant do in the block
+        being executed, or the next one; without a block, as programmed. A laser is switched off by
+        a spindle stop override."""
+        if self._state.suspension_has_begun:
+            return
+        self._state.suspension_has_begun = True
         self._routine = None
         self._lit = False
         row = self._planner.row()  # the block's integers; None: no block is planned
@@ -143,13 +146,14 @@ class Suspension:
                 state.override_countdown = 0  # the next status report shows the spindle
             state.stop_override = 0
         elif not stop_override and state.update_spindle:
-            self._spindle.set_speed(self._flags & plan.SPINDLE_MASK, self._rpm)
+            if self._spindle.laser or self._spindle.is_on():  # a hold starts no spindle
+                self._spindle.set_speed(self._flags & plan.SPINDLE_MASK, self._rpm)
             state.update_spindle = False
 
     def _stop_spindle(self) -> None:
         """Stop the spindle, and note whether a laser was on. If motion has ended since start(), no
         block is left: the programmed speed is then stored for a laser that was on."""
-        self._lit = self._lit or self._state.spindle[st.RPM] > 0
+        self._lit = self._lit or self._spindle.is_on()
         if self._spindle.laser and self._planner.empty():
             self._rpm = self._modes.rates[RPM] if self._lit else 0.0
         self._spindle.set_speed(0, 0.0)  # 0: OFF
@@ -206,7 +210,9 @@ class Suspension:
         state = self._state
         if not self._inputs.door_open():
             state.suspend &= ~st.DOOR_AJAR
-        if state.suspend & st.INITIATE_RESTORE:
+        if state.suspend & st.RESTORE_COMPLETE:  # a hold, else ignored, has cancelled the start
+            state.post(st.CYCLE_START)
+        elif state.suspend & st.INITIATE_RESTORE:
             self._routine = self._restore()
 
     def _restore(self) -> "Iterator[None]":

@@ -168,7 +168,7 @@ class Jobs:
         or a comma for the @. GrblError if it cannot start."""
         if self._machine.state.run == st.ALARM:
             raise GrblError(errors.SYSTEM_GC_LOCK)
-        name = name.replace(",", "@")  # where @ is a real-time byte: DIALECT 0.9
+        name = name.replace(",", "@")  # where @ is a real-time byte
         starts_in_middle = "@" in name
         name, _, number = name.partition("@")
         if starts_in_middle and not number:

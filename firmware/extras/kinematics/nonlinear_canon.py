@@ -156,7 +156,7 @@ class NonlinearCanon(Canon):
                 # The first chord starts the jog, so that it can be cancelled from now on.
                 self._motor_control.start(st.JOG)
         if not has_steps:
-            self._apply_zero_length(move)
+            self.apply_zero_length(move)
 
 
 class NonlinearHoming(HomingProbing):

@@ -204,7 +204,7 @@ class BacklashCanon(Canon):
             if plan_block(course, table, ring, flow, flags, move.line_number, power, feed):
                 planner.speeds[head] = move.spindle_rpm
             else:
-                self._apply_zero_length(move)
+                self.apply_zero_length(move)
             course[arcs.CHORDS_LEFT] -= 1
             if course[arcs.CHORDS_LEFT] & arcs.EIGHT_MASK == 0:  # each eighth one
                 self.service()
