@@ -127,6 +127,9 @@ def run_day(sender: Plain) -> None:
     plan, result = sender.plan, sender.result
     sender.port.write(b"\x18")
     sender.until("greeted", lambda: "version" in result)
+    # Perhaps for the connection: lines that arrive before the reset's own greeting are dropped.
+    reset_s = time.monotonic()
+    sender.until("reset", lambda: time.monotonic() > reset_s + 0.5)
     sender.ask("$$")
     sender.ask("$I")
     sender.ask("$H")
