@@ -1,15 +1,18 @@
 """Test board files: every existing one is valid, and every mistake is named."""
 
+import re
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import pytest
+from ugrbl.boardfile import rates
 from ugrbl.boardfile.board_check import is_simulated, notes, problems
 from ugrbl.boardfile.chips import CHIPS
 from ugrbl.boardfile.files import BoardFileError, boards, load_board, load_for_build
 from ugrbl.paths import BOARDS
 from ugrbl.sim.replay import factory_store
+from ugrbl.sim.rig import Rig
 
 REAL = [name for name in boards() if hasattr(load_board(name), "DIR")]
 
@@ -267,6 +270,19 @@ def test_two_boards_with_one_name_start_with_their_own_settings() -> None:
         board = ModuleType("board")
         board.__dict__.update({**vars(load_board("sim")), "DEFAULTS": {100: steps}})
         assert f"$100={steps:g}" in factory_store(board).files["settings"]
+
+
+def test_simulators_board_file_is_checked_too(tmp_path: Path) -> None:
+    """PWM_MAX has a default. LINK "uart" is possible without a chip."""
+    sim = (BOARDS / "sim.py").read_text("utf-8")
+    file = tmp_path / "mine.py"
+    file.write_text(re.sub(r"(?m)^PWM_MAX.*$", 'LINK = "uart"', sim))
+    board = load_board(str(file))
+    assert rates.intake(board).bytes_s == 0
+    assert Rig(board, factory_store(board)).port.pwm_max == 1000
+    file.write_text(sim + 'PWM_MAX = "much"\n')
+    with pytest.raises(BoardFileError, match="PWM_MAX"):
+        load_board(str(file))
 
 
 def test_simulator_accepts_a_users_board_file(tmp_path: Path) -> None:

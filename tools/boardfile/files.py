@@ -96,15 +96,14 @@ def _checked(file: Path, may_be_simulated: bool) -> ModuleType:
         raise BoardFileError(f"{file} is no Python file: {error}") from error
     except Exception as error:
         raise BoardFileError(f"{file} fails: {type(error).__name__}: {error}") from error
-    if is_simulated(board):
-        if may_be_simulated:
-            return board
+    simulated = is_simulated(board)
+    if simulated and not may_be_simulated:
         raise BoardFileError(
             f"{file.stem} is a machine of the simulator and has no pins: choose the file of a "
             "real board"
         )
     texts = [f"{file.name}: {problem}" for problem in problems(board)]
-    if imported:
+    if imported and not simulated:
         texts.append(
             f"{file.name} imports {imported[0]}, but only the board file itself is put on the "
             "board: copy that code into it"

@@ -49,5 +49,5 @@ def intake(board: Any) -> Intake:
     if names and _MEASURED not in names:
         whose = f"a Pico (an {names[0]} has not been measured)"
     # With LINK "uart", an ESP32-S3 has native USB, which is fast enough.
-    is_serial = getattr(board, "LINK", "usb") == "uart" and names[0] == "ESP32"
+    is_serial = getattr(board, "LINK", "usb") == "uart" and "ESP32" in names[:1]
     return Intake(PICO, whose, bytes_s=_UART_BYTES_S if is_serial else 0.0)

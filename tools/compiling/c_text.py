@@ -97,9 +97,7 @@ class Function:
                 yield f"{self._store(place, 'v')} }}"
             case ast.Assign([ast.Tuple(names)], value) if self.is_object(value):
                 unpacked = f"TAKE_APART({self.expression(value)}, {len(names)});"
-                parts = [
-                    f"{self.expression(n)} = PART({i});" for i, n in reversed([*enumerate(names)])
-                ]
+                parts = [f"{self.expression(n)} = PART({i});" for i, n in enumerate(names)]
                 yield f"{{ {unpacked} {' '.join(parts)} }}"
             case ast.AugAssign(ast.Name(name) as target, op, value):
                 old = ast.Name(target.id, ast.Load())

@@ -56,7 +56,7 @@ class SimPort:
     """A Port whose pins are attributes. Closed means pulled to ground."""
 
     def __init__(self, rig: "Clock", board: "ModuleType") -> None:
-        self.pwm_max = board.PWM_MAX
+        self.pwm_max = getattr(board, "PWM_MAX", 1000)
         self.pwm = SimPwm(getattr(board, "PWM_HZ", 5000))
         self.limit_names = limit_names(board)
         self._shared = shared_inputs(board)
