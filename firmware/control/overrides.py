@@ -136,8 +136,7 @@ class Overrides:
 
     def darken(self) -> None:
         """Switch off a laser that the modes keep dark while idle (M4, or no G1, G2 or G3), and
-        report one that is off as such. Called where no block does it: in a new laser mode, or
-        after blocks were dropped."""
+        report one that is off as such. Called when the blocks that would do it are dropped."""
         modal, spindle = self._modes.modal, self._spindle
         if spindle.laser and modal[SPINDLE]:
             cuts = modal[SPINDLE] == CW and 1 <= modal[MOTION] <= _LAST_CUTTING

@@ -16,7 +16,6 @@ _REPORT_INCHES = const(13)  # number of the setting: $13
 _HARD_LIMITS = const(21)  # $21
 _MAX_RPM = const(30)  # $30
 _MIN_RPM = const(31)  # $31
-_LASER_MODE = const(32)  # $32
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -111,8 +110,6 @@ class Controller:
             self.port.enable_limits(bool(settings.hard_limits))
         if settings.changed in (_MAX_RPM, _MIN_RPM):
             self.spindle.stop()  # its power was computed with the old ones
-        if settings.changed == _LASER_MODE:
-            self.overrides.darken()
         if settings.changed == _REPORT_INCHES:
             self.state.wco_countdown = 0  # the next report has the offset in the new unit
 
