@@ -332,7 +332,7 @@ class Report:
         spindle = state.spindle
         if rpm is None or state.suspend & st.HOLD_COMPLETE:
             return spindle
-        self._shown[st.RPM] = in_range(spindle, rpm)  # with override and limits
+        self._shown[st.RPM] = in_range(spindle, rpm) if rpm else 0.0  # with override and limits
         return self._shown
 
     def _write_lengths(self, name: bytes, mm: "array[float]") -> None:

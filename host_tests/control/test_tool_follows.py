@@ -1,8 +1,8 @@
 """Test that the tool does what was asked for and reported: overrides, holds, doors, settings.
 
-Tool.play() does steps: it sends lines (text) and real-time bytes, and waits so many ms (numbers).
-It returns state, speed and power at the PWM pin as shown after each step. settle: ms of silence at
-the end of a wait.
+Tool.play() does steps: it sends lines (text) and real-time bytes, waits so many ms (numbers), and
+sets inputs (a dict). It returns state, speed and power at the PWM pin as shown after each step.
+settle: ms of silence at the end of a wait.
 """
 
 from collections.abc import Generator, Iterator
@@ -10,15 +10,17 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 import pytest
+from base import state as st
 from rig_bench import Machine
+from test_homing_end import machine_with_switches
 from ugrbl.boardfile.files import load_board
 
 _FAST = {110: 6000, 120: 500}
 _DOWN_10, _UP_10, _TO_100 = b"\x9b", b"\x9a", b"\x99"  # spindle overrides; _TO_100: 100 %
 _FULL = 255  # power at $30, 1000 rpm
 
-# A step: a line, whose answer is awaited; real-time bytes; a wait in ms.
-Step = str | bytes | int
+# A step: a line, whose answer is awaited; real-time bytes; a wait in ms; inputs and their states.
+Step = str | bytes | int | dict[str, bool]
 
 
 class Shown(NamedTuple):
@@ -57,8 +59,15 @@ class Tool:
             yield from sender.wait("ok", f"{step}\n", settle=1)
         elif isinstance(step, bytes):
             self.machine.rig.link.send(step)
+        elif isinstance(step, dict):
+            self.machine.rig.port.push(step)
         else:
             yield self.machine.rig.ms(step)
+
+    def do_steps(self, *steps: Step) -> Iterator[Any]:
+        """Do several steps, without asking for a status."""
+        for step in steps:
+            yield from self.do_step(step)
 
     def read_status(self) -> "Generator[Any, None, Shown]":
         """Return what a status report and the PWM pin show."""
@@ -224,3 +233,129 @@ def test_parking_stays_off_after_the_program_until_m56() -> None:
     assert ["M56" in line for line in modes] == [False, True]
     controller: Any = tool.machine.rig.controller
     assert controller.state.override_control
+
+
+@pytest.mark.parametrize("motion", ["G0X1", "G38.3Z-0.1"])
+@pytest.mark.parametrize(("tool", "jog"), [("M3S500", "X5"), ("M3S500", "X0"), ("M4S500", "X5")])
+def test_laser_stays_dark_in_and_after_a_jog_unless_the_program_cuts(
+    tool: str, jog: str, motion: str
+) -> None:
+    """The motion before the jog, which takes 0.3 s or has no length, switches the laser off."""
+    steps = (tool, "G1F1000X0.5", motion, 700, f"$J=G91{jog}F1000", 100, 1000)
+    states = Tool(laser=1).play(*steps)[-4:]
+    assert [(each.speed, each.power) for each in states] == [(0, 0)] * 4
+
+
+@pytest.mark.parametrize("tool", ["M3S0", "M4S0"])
+@pytest.mark.parametrize("setting", ["$30=0", "$31=1000", "$31=2000"])
+def test_s0_is_dark_when_the_least_speed_is_not_below_the_greatest(
+    setting: str, tool: str
+) -> None:
+    """$31 is the least, $30 the greatest, 1000 at first."""
+    states = Tool(laser=1).play(setting, tool, "G1F600", "X1", 50, 500, "G38.3Z-0.2", 50, "G0X0")
+    assert [(each.speed, each.power) for each in states[1:]] == [(0, 0)] * 8
+
+
+@pytest.mark.parametrize(("word", "touches"), [("G38.2", True), ("G38.4", False)])
+def test_laser_is_dark_after_a_probing_that_is_refused(word: str, touches: bool) -> None:
+    """The probe touches already, or not yet: ALARM:4."""
+    lit = ("M3S500", "G1F600X0.5", 500)
+    tool = Tool(laser=1)
+    states = tool.play(*lit, {"probe": touches}, word + "Z-1F100", 1000, "$X", 50)
+    assert "ALARM:4" in tool.machine.received and states[2] == ("Idle", 500, 128)
+    assert states[-3:] == [("Alarm", 0, 0), ("Idle", 0, 0), ("Idle", 0, 0)]
+
+
+@pytest.mark.parametrize("opens", [b"\x84", {"hold": True}], ids=["0x84", "input"])
+@pytest.mark.parametrize("on", ["M3S500", "M8"])
+@pytest.mark.parametrize("ends", ["G38.2Z-0.2F300", "$C"], ids=["probing", "check mode"])
+def test_door_switches_off_what_a_failed_probing_or_check_mode_leaves_on(
+    ends: str, on: str, opens: Step
+) -> None:
+    """ALARM:5 leaves it on, as in Grbl. A reset follows."""
+    tool = Tool(SAFETY_DOOR=True)
+    port = tool.machine.rig.port
+
+    def script() -> Iterator[Any]:
+        yield from tool.machine.start()
+        yield from tool.do_steps(on, ends, 1000)
+        assert port.spindle_pwm or port.flood
+        yield from tool.do_steps(opens, 1000)
+        assert not (port.spindle_pwm or port.flood)
+        assert any(line.startswith("Grbl") for line in tool.machine.take())
+
+    tool.machine.run(script())
+
+
+_DARK_BY_SETTING = ("M3S500", "$30=500")
+_DARK_BY_G0 = ("$32=1", "M3S300", "G0X.1", 500, "$32=0")
+
+
+@pytest.mark.parametrize("off", [_DARK_BY_SETTING, _DARK_BY_G0], ids=["$30", "laser"])
+def test_hold_with_an_override_starts_no_spindle_that_is_off(off: "tuple[Step, ...]") -> None:
+    states = Tool().play(*off, b"!", 50, _UP_10, 50)[len(off) - 1 :]
+    assert states[-1].state == "Hold:0" and [each.power for each in states] == [0] * 5
+
+
+def test_hold_starts_no_spindle_after_homing_with_an_override() -> None:
+    """Homing has stopped it."""
+    tool = Tool()
+    tool.machine = machine_with_switches()
+    states = tool.play("$X", "M3S800", b"$H\n", _UP_10, 5000, b"!", 100)
+    assert [states[i].state for i in (3, 4)] == ["Home", "Idle"]
+    assert states[4].power == 0 and states[-1] == ("Hold:0", 0, 0)
+
+
+@pytest.mark.parametrize(
+    ("lines", "shown"),
+    [
+        (b"G1X9F3000\nG0X0\n", ("Idle", 0, 0)),
+        (b"G0X9\nG1X9.1F300\n", ("Idle", 0, 0)),
+        (b"G1X9F3000\nX8S300\n", ("Idle", 300, 77)),
+    ],
+    ids=["cut and move", "move and cut", "two cuts"],
+)
+def test_laser_is_lit_after_a_jog_cancel_drops_blocks_only_where_it_cuts_and_was_lit(
+    lines: bytes, shown: "tuple[str, float, int]"
+) -> None:
+    """0x85 cancels a jog in the first of the blocks before it; the second has set the modes."""
+    jog = (lines + b"$J=X5F300\n", 60, b"\x85", 500)
+    states = Tool(laser=1).play("M3S500", "G1F300", "G0X.1", 500, *jog, b"!", 100, b"~", 100)
+    assert states[7] == states[-1] == shown
+
+
+def test_laser_that_a_setting_has_darkened_stays_dark_after_a_hold() -> None:
+    steps = ("M3S500", "G1F300X.1", 500, "$30=2000", 50, b"!", 100, b"~", 100)
+    states = Tool(laser=1).play(*steps)
+    assert states[2].power == 128 and states[-1] == ("Idle", 0, 0)
+
+
+def test_hold_at_the_end_of_a_restore_does_not_retract_the_tool_again() -> None:
+    """`!` comes between the end of the restore after a door and the cycle start that it posts."""
+    tool = Tool(PARKING=True)
+    rig = tool.machine.rig
+    seen: set[tuple[int, int]] = set()  # Z in steps, power
+
+    def script() -> Iterator[Any]:
+        yield from tool.machine.start()
+        yield from tool.do_steps("$22=1", "$112=6000", "$122=500", "G0Z-15", 500)
+        yield from tool.do_steps("M3S1000G1F600X3", 50, b"\x84", 9000, b"~")
+        state = rig.controller.state
+        post = state.post
+
+        def post_with_hold(event: int) -> None:
+            """Post the cycle start at the end of the restore, and a hold with it."""
+            post(event)
+            if state.suspend & st.RESTORE_COMPLETE:
+                post(st.FEED_HOLD)
+                state.post = post
+
+        state.post = post_with_hold
+        yield lambda: state.post == post
+        for _ in range(100):
+            seen.add((tool.machine.physical()[2], rig.port.spindle_pwm))
+            yield rig.ms(5)
+        tool.states.append((yield from tool.read_status()))
+
+    tool.machine.run(script())
+    assert seen == {(-15 * 250, _FULL)} and tool.states == [("Idle", 1000, _FULL)]
