@@ -5,11 +5,14 @@ import re
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from sim_bench import Bench
 from typer.testing import CliRunner, Result
 from ugrbl.cli.app import app
+from ugrbl.device import jobs
 from ugrbl.paths import BOARDS
 
 # Real processes in real time: the first ring runs one.
@@ -73,6 +76,24 @@ def test_program_refused_at_once_is_reported(bench: Bench, tmp_path: Path) -> No
     done = ugrbl(bench, "run", "BAD.NC")
     assert done.exit_code == 1
     assert "Job BAD.NC: line 2 is refused with 20: " in done.output
+
+
+@pytest.mark.sampled(3)
+@pytest.mark.parametrize(
+    ("is_0_9", "line", "sent"), [(True, "@2", ",2"), (True, "@", ","), (False, "@2", "@2")]
+)
+def test_job_is_resumed_with_a_comma_on_grbl_0_9_where_at_opens_the_door(
+    is_0_9: bool, line: str, sent: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(jobs, "_FIRST_S", 0)
+    written: list[bytes] = []
+    connection: Any = SimpleNamespace(
+        takes_overrides=not is_0_9,
+        write=written.append,
+        lines=lambda: ["ok", "[MSG:Job PART.NC: begins]"],
+    )
+    jobs.start(connection, "PART.NC", line)
+    assert written == [f"$F=PART.NC{sent}\n".encode()]
 
 
 def test_file_that_is_not_a_program_is_not_sent(bench: Bench, tmp_path: Path) -> None:

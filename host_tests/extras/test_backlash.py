@@ -289,6 +289,20 @@ def test_jog_cancelled_in_the_slack_moves_the_table_no_further() -> None:
         machine.run(script())
 
 
+def test_jog_that_reverses_in_the_packet_of_a_line_begins_after_the_line() -> None:
+    """Received with the line, before its motion has begun, the jog is accepted."""
+    machine = make_machine({1: 25})
+
+    def script() -> Iterator[Any]:
+        yield from moved_up(machine)
+        machine.rig.link.send(b"G1X2F500\n$J=G91X-3F900\n")
+        yield from machine.rest()
+        assert machine.received[-3:-1] == ["ok", "ok"]
+        assert table_mm(machine) == machine.reported() == [-1, 1, 1]
+
+    machine.run(script())
+
+
 @pytest.mark.parametrize("inverted", [0, 7])
 def test_slack_after_homing_is_on_the_side_of_the_pull_off(inverted: int) -> None:
     """The table's distance from its report is the same after homing and after moves.
@@ -366,6 +380,32 @@ def test_laser_is_dark_in_the_slack_and_a_spindle_stays_on() -> None:
         assert powers and all(bool(power) == stays_on for power in powers[1:-1]), (laser, powers)
 
 
+@pytest.mark.parametrize("after_ms", [10, 40, 80])
+def test_laser_is_dark_after_a_hold_of_the_slack_before_a_rapid(after_ms: int) -> None:
+    """M3 has lit it in G1. 2 mm of slack are taken up before G0; `~` then lights nothing."""
+    machine = make_machine(settings={32: 1, 30: 1000, 160: 2.0})
+    rig, port = machine.rig, machine.rig.port
+
+    def script() -> Iterator[Any]:
+        """Hold in the slack, resume, and look at the pin each 0.2 ms."""
+        yield from machine.start()
+        yield from machine.sender.wait("idle", "M3S800\nG1X3F3000\n")
+        assert port.spindle_pwm
+        rig.link.send(b"G0X0\n")
+        yield rig.ms(after_ms)
+        assert rig.controller.planner.kinematics.standing
+        rig.link.send(b"!")
+        yield rig.ms(300)
+        rig.link.send(b"~")
+        for _ in range(2500):
+            yield rig.ms(0.2)
+            assert port.spindle_pwm == 0
+        yield from machine.rest()
+        assert machine.reported()[0] == 0
+
+    machine.run(script())
+
+
 def test_second_motors_take_up_the_slack() -> None:
     machine = Machine({**_SETTINGS}, board(STEP=(0, 1, 2, 3), MOTORS="XYZY"), watched=False)
     machine.play(["G0X1Y1Z1", "G1Y0F900"])
@@ -392,7 +432,7 @@ def test_settings_are_listed_and_bounded() -> None:
     assert "$161=0.050" in machine.received and "$160=0.100" in machine.received
 
 
-@pytest.mark.parametrize("word", ["COREXY", "JERK", "PARKING", "CLUSTERS"])
+@pytest.mark.parametrize("word", ["COREXY", "JERK", "PARKING", "CLUSTERS", "POWER_FAIL_UP_MM"])
 def test_conflicting_option_is_refused_with_the_reason(word: str) -> None:
     with pytest.raises(ValueError, match=f"BACKLASH and {word} cannot be combined"):
         make_machine(**{word: True}).play([])

@@ -256,6 +256,16 @@ def test_nothing_moves_during_a_fault(
         assert machine.physical() == [0, 0, 0]
 
 
+def test_reset_is_answered_after_a_fault_has_refused_the_take_up_of_backlash() -> None:
+    """The new setting lets the driver of Y be read before X takes up its slack."""
+    machine = make_machine({160: 0.5}, BACKLASH=True)
+    send_reset = lambda machine: machine.rig.link.send(b"\x18")  # noqa: E731
+    script = ["G1X1F600", 1.0, _without_supply, "$161=0.4\nG1X0F600", 1.0, send_reset, 1.0]
+    output = run_script(machine, script)
+    assert "ALARM:35" in output and machine.physical() == [250, 0, 0]
+    assert output[-2].startswith("Grbl"), output
+
+
 def test_supply_switched_on_later_is_no_alarm() -> None:
     """Drivers do not answer without the motors' supply. At power-up that is only a message."""
     machine = make_machine()

@@ -4,10 +4,12 @@ home() returns a machine after $H, and its axes in the order in which they met t
 Machine.physical() are the motors' steps, Machine.reported() is the last reported position in mm.
 """
 
+from collections.abc import Iterator
 from types import ModuleType
 from typing import Any
 
 import pytest
+from base import state as st
 from motion.layout import ROW_AXES, ROW_STRIDE
 from rig_bench import Machine
 from ugrbl.boardfile import board_check
@@ -27,6 +29,18 @@ _SETTINGS = {
 }
 
 
+def machine_with_switches(
+    settings: "dict[int, float] | None" = None, name: str = "sim_home_order", **options: Any
+) -> Machine:
+    """Return a machine of this board with options, and with a switch at each of X, Y and Z."""
+    board = ModuleType("board")
+    board.__dict__.update({**vars(load_board(name)), **options})
+    machine = Machine({**_SETTINGS, **(settings or {})}, board, watched=False)
+    for axis, letter in enumerate("xyz"):
+        machine.rig.engine.switches.append(Switch(f"limit_{letter}", axis, True, _SWITCH_STEPS))
+    return machine
+
+
 def home(
     settings: "dict[int, float] | None" = None,
     command: str = "$H",
@@ -38,14 +52,8 @@ def home(
     settings: by $-number; stop_ms: a reset then, 0: none; options: of the board sim_home_order,
     which homes X, then Y.
     """
-    board = ModuleType("board")
-    board.__dict__.update({**vars(load_board("sim_home_order")), **options})
-    machine = Machine({**_SETTINGS, **(settings or {})}, board, watched=False)
+    machine = machine_with_switches(settings, **options)
     order: list[str] = []
-    for axis, letter in enumerate("XYZ"):
-        machine.rig.engine.switches.append(
-            Switch(f"limit_{letter.lower()}", axis, True, _SWITCH_STEPS)
-        )
     update = machine.rig.port.update
 
     def note_closed() -> None:
@@ -94,6 +102,45 @@ def test_failed_cycle_ends_homing() -> None:
     machine, order = home({130: 1}, HOMING=("X", "YZ"))
     assert "ALARM:9" in machine.received and order == []
     assert machine.physical()[1:] == [0, 0]
+
+
+@pytest.mark.parametrize("name", ["sim_home_order", "sim_rotary"])
+@pytest.mark.parametrize("byte", ["!", "\x84"])
+def test_hold_between_two_cycles_is_ignored_and_a_door_is_an_alarm(name: str, byte: str) -> None:
+    """sim_rotary homes Z, then X and Y. A cycle ends with the pause of $26 after its last move."""
+    machine = machine_with_switches({26: 50}, name)
+    rig, port = machine.rig, machine.rig.port
+    moves: list[int] = []  # masks of axes, of each move of homing
+
+    def script() -> Iterator[Any]:
+        """Home with M3 and M8 on, and send the byte after the first cycle; resume what is held."""
+        yield from machine.start()
+        yield from machine.sender.wait("ok", "$X\nM3S800M8\n")
+        hooks = rig.controller.state.hooks
+        home_phase = hooks.home_phase
+
+        def note_move(axes: int, *arguments: Any) -> None:
+            home_phase(axes, *arguments)
+            moves.append(axes)
+
+        hooks.home_phase = note_move
+        machine.take()
+        rig.link.send(b"$H\n")
+        yield lambda: len(moves) == 4  # of the first cycle
+        rig.link.send(byte.encode("latin-1"))
+        for _ in range(60):
+            yield rig.ms(100)
+            if rig.controller.state.run & (st.HOLD | st.DOOR):
+                rig.link.send(b"~")
+            assert not port.spindle_pwm
+
+    machine.run(script())
+    lines = machine.take()
+    if byte == "!":
+        assert lines == ["ok"] and len(moves) == 8
+        assert rig.controller.state.run == st.IDLE
+    else:
+        assert lines[0] == "ALARM:7" and len(moves) == 4
 
 
 def rates(machine: Machine) -> "list[float]":

@@ -16,7 +16,7 @@ from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
-from base.state import HOLD
+from base.state import CHECK, HOLD
 from language.block_layout import MOVE
 from motion.layout import SYSTEM_MOTION
 from ports.storage.job_files import JobFiles
@@ -298,6 +298,19 @@ def test_tool_is_off_after_a_file_that_does_not_say_so(tmp_path: Path) -> None:
     assert bench.rig.port.spindle_pwm == bench.rig.port.flood == 0
 
 
+def test_tool_is_off_after_a_file_that_enters_check_mode(tmp_path: Path) -> None:
+    """$C begins check mode."""
+    bench = Bench(tmp_path)
+    bench.put("A.NC", "M3S1000M8", "G1X5F1200", "$C")
+
+    def script(bench: Bench) -> Iterator[Any]:
+        yield from until_job_ends("$F=A.NC")(bench)
+        assert bench.rig.controller.state.run == CHECK
+        assert bench.rig.port.spindle_pwm == bench.rig.port.flood == 0
+
+    bench.run(script)
+
+
 def test_alarm_refuses_a_job(tmp_path: Path) -> None:
     """$22=1 requires homing from the next start on; error 9 is the answer in alarm."""
     bench = Bench(tmp_path)
@@ -495,6 +508,7 @@ def push(name: str, data: bytes, checksum: "int | None" = None, cut: int = -1) -
 
 
 DATA = random.Random(1).randbytes(5000) + b"G0X1\n" * 25
+PART = b"G0X1\n"
 
 
 def test_file_is_received_byte_by_byte(tmp_path: Path) -> None:
@@ -558,6 +572,37 @@ def test_reset_ends_the_transfer(tmp_path: Path) -> None:
     output = bench.run(script)
     assert output[0] == "[FU:0]" and output[1].startswith("<Idle|")
     assert list(bench.folder.iterdir()) == []
+
+
+@pytest.mark.parametrize(("laser", "byte"), [(0, b"\x84"), (1, b"\x84"), (1, b"!")])
+def test_door_or_hold_in_a_transfer_switches_the_tool_off_at_once(
+    tmp_path: Path, laser: int, byte: bytes
+) -> None:
+    """`~` after the transfer switches it on again. A hold leaves a spindle on, as in Grbl."""
+    bench = Bench(tmp_path)
+    port = bench.rig.port
+
+    def script(bench: Bench) -> Iterator[Any]:
+        """Announce a file, send the byte; then send the file, and resume."""
+        yield from say(f"$32={laser}", "G1X0.1F600", "M3S800M8", wait_s=0.5)(bench)
+        assert port.spindle_pwm and port.flood
+        before = port.spindle_pwm, port.flood
+        bench.rig.link.send(f"$FU=A.NC,{len(PART)},{zlib.crc32(PART):x}\n".encode())
+        yield bench.rig.ms(300)  # in the transfer
+        bench.rig.link.send(byte)
+        yield bench.rig.ms(50)
+        assert port.spindle_pwm == 0 and bool(port.flood) == (byte == b"!")
+        bench.rig.link.send(b"".join(jobs._lines(PART)) + b"\n")
+        yield bench.rig.ms(500)  # the transfer has ended; the machine is still held
+        assert port.spindle_pwm == 0
+        bench.rig.link.send(b"~")
+        yield bench.rig.ms(5500)  # also restores the spindle
+        assert (port.spindle_pwm, port.flood) == before
+        yield from say("G1X1", wait_s=2)(bench)
+
+    assert bench.run(script)[-1] == "ok"
+    assert (bench.folder / "A.NC").read_bytes() == PART
+    assert bench.steps == [250, 0, 0]
 
 
 @pytest.mark.parametrize(
@@ -665,6 +710,15 @@ def test_job_continues_at_a_line_as_if_all_before_it_had_been_executed(
 
 
 # Faults found by trials
+
+
+def test_job_of_dialect_0_9_continues_at_the_line_after_a_comma(tmp_path: Path) -> None:
+    """@ opens the safety door there: PART@3 would then start PART3."""
+    bench = with_switches(Bench(tmp_path, DIALECT="0.9"))
+    bench.put("PART.NC", "G21G90", "G1X-6F3000", "G1X-7", "G1X-8")
+    output = bench.run(say(*FAST, *HOMED, "$F=PART.NC,4"))
+    assert output[-1] == "[Job PART.NC: done, 4 lines]"
+    assert bench.moves[-1][0] == -8 and -6 not in [target[0] for target in bench.moves]
 
 
 def test_job_can_be_entered_after_words_that_only_lenient_accepts(tmp_path: Path) -> None:

@@ -377,6 +377,8 @@ def test_cycle_drills_as_in_the_standard(cycle: "Sequence[str]", by_hand: "Seque
         ("G81 X1 Z-1 R1 Q1 F100", 36),
         ("G81 X1 Z-1 R1 L0 F100", 4),
         ("G81 X1 Z-1 R1 L1.5 F100", 23),
+        ("G81 X1 Z-1 R1 L65536 F100", 38),
+        ("G81 X1 Z-1 R1 L99999999999 F100", 38),
         ("G82 X1 Z-1 R1 F100", 28),
         ("G82 X1 Z-1 R1 P-1 F100", 4),
         ("G83 X1 Z-1 R1 F100", 28),
@@ -457,15 +459,16 @@ def test_reset_in_check_mode_acts_during_any_number_of_holes() -> None:
     output: list[str] = []
 
     def script() -> Iterator[Any]:
-        """In check mode ($C), send a line of 9,999,999 holes; ask for a report, and reset."""
+        """In check mode ($C), send a line of 65,535 holes; ask for a report, and reset."""
         yield from bench.sender.wait("banner", "")
         yield from bench.sender.wait("ok", "$C\n")
-        yield from bench.sender.wait("ms 500", "G81 X5 Z-10 R2 F100 L9999999\n")
+        yield from bench.sender.wait("ms 500", "G81 X5 Z-10 R2 F100 L65535\n")
         yield from bench.sender.wait("report", "?")
         output.extend(bench.sender.take())
         yield from bench.sender.wait("banner", "\x18")
 
     bench.rig.run(script())
+    assert output.count("ok") == 1  # the answer to $C
     assert output[-1].startswith("<Check")
 
 

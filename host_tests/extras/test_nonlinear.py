@@ -337,6 +337,32 @@ def test_unreachable_target_is_refused_without_any_effect(kind: str, line: str) 
     assert "M5" in modes and "S0]" in modes and "G0 " in modes
 
 
+def test_target_beyond_single_precision_is_refused() -> None:
+    """45 digits are more than its largest number, 3.4e38."""
+    cnc = machine_after("polar", [f"G1X{'9' * 45}F500"])
+    assert "error:33" in cnc.received and cnc.physical() == [0, 0, 0]
+
+
+def test_hole_out_of_reach_is_an_alarm_and_the_next_place_is_not_drilled() -> None:
+    """Y300 is out of reach. After a reset the last line is a rapid, not another hole."""
+    cnc = make_machine("polar", LENIENT=True)
+    sender = cnc.sender
+
+    def script() -> Iterator[Any]:
+        yield from cnc.start()
+        yield from sender.wait("idle", "G1X50F3000\nG0Z-5\n", settle=1)
+        cnc.take()
+        yield from sender.wait("ms 3000", "G81X40Y300Z-9R-2F300M3S500\n")
+        assert "ALARM:2" in cnc.take() and not cnc.rig.port.spindle_pwm
+        yield from sender.wait("banner", "\x18")
+        yield from sender.wait("idle", "$X\nX40Y0\n", settle=1)
+        yield from cnc.rest()
+        assert not cnc.rig.port.spindle_pwm
+
+    cnc.run(script())
+    assert cnc.reported() == pytest.approx([40, 0, -5], abs=0.01)
+
+
 def test_line_between_reachable_places_is_refused_if_it_leaves_the_reach() -> None:
     """The line passes too close to the base of the SCARA; both of its ends are in reach."""
     model = geometry("scara")

@@ -390,6 +390,28 @@ def test_tool_does_not_turn_while_the_contact_is_open(power: Power) -> None:
     power.bench.run(script)
 
 
+@pytest.mark.parametrize("after_ms", [10, 30, 50])
+def test_reset_is_answered_after_a_failure_while_backlash_is_taken_up(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, after_ms: int
+) -> None:
+    """X reverses, with 2 mm of slack. It stops in the slack, and nothing moves from then on."""
+    power = Power(monkeypatch, tmp_path, BACKLASH=True)
+
+    def script(bench: Bench) -> Iterator[Any]:
+        """Begin to take up the slack, open the contact, and reset."""
+        yield from say(*FAST, "$120=500", "$160=2", "G1X1F500", wait_s=3)(bench)
+        bench.rig.link.send(b"G1X0\n")
+        yield bench.rig.ms(after_ms)
+        assert bench.rig.moving()
+        yield from power.fail(1000)
+        bench.sender.take()
+        yield from bench.sender.wait("banner", "\x18")
+
+    power.bench.run(script)
+    assert power.steps[100] == power.steps[-1] == power.bench.steps
+    assert power.bench.rig.controller.planner.axis_steps(power.bench.steps, 0) == _STEPS_PER_MM
+
+
 # By state: a line to enter it, the line that is executed, and a real-time byte after it.
 _STATES = {
     "idle": ("", "M5", ""),

@@ -11,6 +11,7 @@ from types import ModuleType
 from typing import Any
 
 import pytest
+from base.state import IDLE
 from extras.custom.positions import ModalState
 from hypothesis import given
 from hypothesis import strategies as st
@@ -109,6 +110,14 @@ def test_turn_beyond_single_precision_is_an_alarm_also_in_check_mode(before: str
         assert "ALARM:2" in machine.take()
 
     machine.run(script())
+
+
+@pytest.mark.parametrize("name", ["sim_rotary", "sim_wire"])
+def test_arc_radius_beyond_single_precision_is_no_fault(name: str) -> None:
+    """It is infinite, and the arc a straight line, as on a machine without rotary axes."""
+    machine = Machine(_SWIFT, name)
+    machine.play([f"G2X2R{'9' * 45}F600"])
+    assert "ok" in machine.received and motor_positions(machine) == [2, 0, 0, 0]
 
 
 def test_limit_switches_of_six_axes_are_reported_by_letter() -> None:
@@ -289,6 +298,32 @@ def test_work_position_stays_if_axis_is_unwound_in_saved_block() -> None:
             assert controller.modes.position[3] - controller.coords.g92[3] == 90 + 100
 
     machine.converse(("$X", "G92A90", "G91G0A100"), answered)
+
+
+@pytest.mark.parametrize("byte", ["\x85", "!", "\x84"])
+def test_jog_cancelled_while_it_waits_to_be_unwound_does_not_move(byte: str) -> None:
+    """A is near 2**24 steps: the second jog waits for the end of the first one. 0x85 cancels jogs,
+    a hold and the door do so too. `~` then ends the door."""
+    machine = Machine({**_SWIFT, 133: 0}, board(), watched=False)
+    rig = machine.rig
+
+    def script() -> Iterator[Any]:
+        yield from machine.start()
+        rig.controller.engine.set_position(array("i", (0, 0, 0, 16_770_000)))
+        rig.controller.resync()
+        rig.link.send(b"$J=G91A20F600\n$J=G91A100F6000\n")
+        yield rig.ms(300)
+        assert rig.moving()
+        rig.link.send(byte.encode("latin-1"))
+        yield rig.ms(100)
+        stopped_at = machine.physical()
+        yield rig.ms(500)
+        rig.link.send(b"~")
+        yield rig.ms(5000)
+        assert machine.physical() == stopped_at
+        assert rig.controller.state.run == IDLE
+
+    machine.run(script())
 
 
 def test_rotary_axis_with_travel_is_limited() -> None:

@@ -67,6 +67,20 @@ def test_letters_of_other_machines_are_refused_and_nothing_moves(word: str) -> N
     assert motor_positions(machine) == [0, 0, 0, 0]
 
 
+def test_a_drilling_cycle_is_refused_without_any_effect() -> None:
+    """There is no Z. M3 and the cycle of the refused line are not in force: the next is a G1."""
+    machine = Machine(_SWIFT, board(LENIENT=True))
+    replies: list[str] = []
+
+    def answered(_: str, lines: "list[str]") -> None:
+        replies.append(lines[-1])
+        assert machine.rig.port.spindle_pwm == 0
+
+    machine.converse(("G1X1F900", "G81X2Y1Z-1R1F100M3S500", "X3Y2"), answered)
+    assert replies == ["ok", "error:20", "ok"]
+    assert motor_positions(machine) == [3, 2, 0, 0]
+
+
 def test_a_machine_without_the_option_has_no_u() -> None:
     assert "error:20" in machine_after("G0U1", XYUV=False).received
 

@@ -27,7 +27,7 @@ _FIRST_S = 0.5  # after each message: the first lines are refused within this ti
 _REFUSED = re.compile(r"refused with (\d+)")
 _NAME = re.compile(r"[A-Z0-9_-][A-Z0-9._-]{0,31}")
 _FILE = re.compile(r"\[FILE:/(.*)\|SIZE:(\d+)\]")
-_MESSAGE = re.compile(r"\[MSG:(.*)\]")
+_MESSAGE = re.compile(r"\[(?:MSG:|(?!FILE:))(.*)\]")  # Grbl 0.9 has no MSG:
 NO_JOBS = (
     'this machine stores no jobs; if it runs ugrbl, add the line JOBS = "jobs" to its board file, '
     "then run `ugrbl deploy`"

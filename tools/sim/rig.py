@@ -156,7 +156,7 @@ class Rig:
 
     def run(self, script: "Script") -> None:
         """Power up and run the firmware until the script, a generator, ends; power up again each
-        time that it cycles the power."""
+        time that it cycles the power. At the end the outputs of the port stay as they are."""
         self._script = script
         self._wake = self.now
         while True:
@@ -176,10 +176,10 @@ class Rig:
                 self.controller.protocol.run()  # endless: PowerOff is raised inside
             except PowerOff:
                 self.engine.power_off()
-                self.port.power_off()
                 self.link.power_off()
             if not self._restarts:
                 return
+            self.port.power_off()
 
     def _give_reports_time(self) -> None:
         """Make status reports take time. Requests during this time are answered by the same
