@@ -384,4 +384,4 @@ def _forget_in(owner: object, words: "tuple[str, ...]" = (MAKER,)) -> None:
     for word in words:
         makers += [name for name in names if word in name]
     for name in makers:
-        setattr(owner, name, None)  # deleting would leave the slot in the table
+        setattr(owner, name, None)  # deleting frees no more: the table keeps the slot

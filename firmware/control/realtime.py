@@ -145,7 +145,7 @@ class Realtime:
                 state.enter(st.HOLD)
             if door:
                 self._open_door()
-        elif door and self._motor_control.is_on():  # after a failed probing, or in check mode
+        elif door and self._motor_control.is_on():  # left on by a failed probing or check mode
             self._motor_control.reset()
         if sleep:
             if state.run == st.ALARM:  # there is nothing to stop or retract

@@ -314,7 +314,7 @@ class I2sEngine(TimerEngine):
             state[s.LAST_WRITE_US] = time.ticks_us() & MASK
 
     def _report_power(self) -> None:
-        """Report the spindle power of the buffer being played, and the end of motion."""
+        """Set the spindle power of the buffer being played, and notice the end of motion."""
         slot = frames.playing_slot(self._state, self._notes, self._slots, self._note_size)
         # Not while idle, because code that sees idle() may set the spindle.
         if slot >= 0 and self._notes[slot * self._note_size + s.HAS_MOTION]:
@@ -322,7 +322,7 @@ class I2sEngine(TimerEngine):
         self._check_idle()
 
     def _check_idle(self) -> None:
-        """After the last buffer with motion, report its power, then the end of motion."""
+        """After the last buffer with motion, set its power, then report the end of motion."""
         state = self._state
         all_sent = state[s.MOTION_END] <= state[s.SENT]
         all_played = all_sent and state[s.LAST_MOTION_NUMBER] < state[s.PLAYING]

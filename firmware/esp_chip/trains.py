@@ -26,7 +26,7 @@ LONGEST_US = const(18000)  # the longest train: a hold waits for its end
 _ANY_END_US = const(9000)  # up to this length a train may end with any row
 _LEAST_PAUSE_US = const(2)  # us between two pulses
 
-# Integers shared by all axes (timing): indexes.
+# Indexes of `timing`, integers shared by all axes.
 AXES = const(0)  # number of axes
 PULSE_US = const(1)  # length of a pulse, us
 FIRST_ROW = const(2)  # number in the ring of the first row of the next train

@@ -236,7 +236,7 @@ class PortInputs:
     def _mask_if_active(self, pin: "Pin") -> int:
         """Return the mask of this control input or emergency stop alone, 0 if it is not active."""
         if pin is self._estop:
-            return EMERGENCY_STOP if pin.value() else 0
+            return EMERGENCY_STOP if pin.value() else 0  # its contact opens when pressed
         bit = 1 << self._controls.index(pin)
         closed = 0 if pin.value() else bit
         return closed ^ (self._control_invert & bit)

@@ -94,7 +94,7 @@ def _push(console: Console, port: str, own: OwnPython) -> None:
             on_board.restart()
             raise DeployError(
                 "\n".join(missing_pins),
-                "add the pin to the board file, and deploy it; nothing was pushed",
+                "add these pins to the board file, and deploy it; nothing was pushed",
             )
         with Bar(console) as bar:
             bar.begin(len(files), sum(map(len, files.values())))

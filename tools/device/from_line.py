@@ -93,7 +93,7 @@ def _check_cycle(lines: Sequence[bytes], number: int) -> None:
             begun = 0
     if begun and not _CYCLE_ENDS.search(_code(lines[number - 1])):
         text = f"line {number} continues the drilling cycle of line {begun}"
-        raise CannotEnter(f"{text}: begin there, or after its end")
+        raise CannotEnter(f"{text}: start there, or after its end")
 
 
 def _check_settings(before: Sequence[bytes], here: MachineSnapshot) -> None:
@@ -242,7 +242,7 @@ def _cautions_after(lines: Sequence[bytes], number: int) -> list[str]:
     for later_number, line in enumerate(lines[number - 1 :], number):
         if _STORES.search(_code(line)):
             text = f"line {later_number} stores offsets: if it has already been executed"
-            return [f"{text}, first restore the offsets that were in force before it"]
+            return [f"{text}, first restore the offsets that it has replaced"]
     return []
 
 

@@ -96,7 +96,7 @@ def _ramps(values: Mapping[int, float], found: Firmware) -> Findings:
         elif seconds > _LONG_RAMP_S:
             text = f"{letter} takes {seconds:.1f} s "
             text += "to reach its highest rate: it will be slow in every corner"
-            todo = f"raise ${120 + axis} in steps until it loses steps, then halve it"
+            todo = f"raise ${120 + axis} until the motor loses steps, then set half of that"
             yield Finding("acceleration", NOTE, text, todo)
 
 

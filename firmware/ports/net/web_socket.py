@@ -170,7 +170,7 @@ class WebSocket:
             if fault:
                 self._close_with(fault)
                 return
-            length_bytes = 2 if length == _LENGTH_FOLLOWS else 0
+            length_bytes = 2 if length == _LENGTH_FOLLOWS else 0  # more was refused as too long
             self._head_length = 2 + length_bytes + _MASK_BYTES
         elif received == self._head_length:
             if length == _LENGTH_FOLLOWS:

@@ -150,7 +150,7 @@ def _check_countable(about: About, wiring: Wiring, chip: AnyChip) -> None:
         raise DeployError(
             "ENGINE 'i2s' makes steps in external shift registers, where the chip cannot count "
             "them",
-            "a board with ENGINE 'rmt' can be tested",
+            "only a board with ENGINE 'rmt' can be tested",
         )
     if wiring.engine != ("rmt" if isinstance(chip, Esp) else "pio"):
         raise DeployError(

@@ -60,7 +60,7 @@ class RMT:
         num_symbols: int = 0,
     ) -> None:
         if resolution_hz != 1_000_000 or idle_level:
-            raise NotImplementedError("only what our engine uses is modelled")
+            raise NotImplementedError("the model has no timeout: it has only what the engine uses")
         self.symbols = num_symbols or self.block
         if self.symbols < self.block or self.symbols % 2:
             raise ValueError("num_symbols must be even and at least %d" % self.block)
@@ -151,7 +151,7 @@ class RMT:
         if not self._enabled:
             return True
         if timeout:
-            raise NotImplementedError("only what our engine uses is modelled")
+            raise NotImplementedError("the model has no timeout: it has only what the engine uses")
         return clock.us >= self._end and self._aborted == 0
 
     def deinit(self) -> None:
