@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 _FIRST_ROTARY = const(3)  # X, Y and Z are never rotary
 _TURN = 360.0  # degrees
 _FAR = 1e9  # degrees: beyond every machine, and a whole number for int()
+_FINITE = 3e38  # near the largest number in single precision; infinity cannot be frozen
 _EXACT_STEPS = 16777216.0  # single precision is exact up to it; beyond, an axis is unwound
 _PER_INCH = minifloat.real(1 / 25.4)
 # Lines without a programmed feed rate, or with one that applies to all axes.
@@ -217,7 +218,7 @@ class RotaryCanon(Canon):
                 linear_sqr += (target[i] - start[i]) ** 2
         linear_sqr += (arc.numbers[RADIUS] * arc.sweep(start, target)) ** 2  # the circle's length
         self.planner.arc_factor = minifloat.ONE
-        if 0 < linear_sqr < math.inf:  # not NaN, of an arc with an infinite radius
+        if 0 < linear_sqr < _FINITE:  # nor NaN, of an arc with an infinite radius
             self.planner.arc_factor = minifloat.real(math.sqrt(1 + rotary_sqr / linear_sqr))
 
 
