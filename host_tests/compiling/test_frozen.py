@@ -7,6 +7,7 @@ flash and its files; put() deploys to a FakeBoard, and clears the board's log be
 
 import ast
 import os
+import re
 import struct
 import subprocess
 import sys
