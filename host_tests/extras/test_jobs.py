@@ -358,7 +358,17 @@ def test_sender_gets_the_progress_and_its_lines_are_refused(tmp_path: Path) -> N
         # After the lines of $N: its ok, and the answers to G0, $J and $110.
         assert answers[3:] == ["$N0=", "$N1=", "ok", "error:9", "error:8", "error:8"]
         bench.rig.link.send(b"G1 X")  # the rest of the line follows after the job
-        yield bench.rig.ms(9000)  # the job ends
+        for _ in range(30):
+            yield bench.rig.ms(1000)
+            st_ = bench.rig.controller.state
+            print(
+                "ST",
+                st_.system_motion,
+                st_.run,
+                hex(st_.suspend),
+                bench.rig.controller.motor_control.moving,
+                [p.name for p in bench.folder.iterdir()],
+            )  # the job ends
         yield from bench.sender.wait("ok", "7F600\n")
         yield bench.rig.ms(3000)  # until 7 mm are moved
 
@@ -396,7 +406,17 @@ def test_hold_stores_the_line_and_a_cycle_start_resumes(tmp_path: Path) -> None:
         line = int(bench.rig.scratch[0] / 250) + 2  # after G91, and counted from 1
         assert bench.job_record()[:2] == ["A.NC", str(line)]
         bench.rig.link.send(b"~")
-        yield bench.rig.ms(9000)  # the job ends
+        for _ in range(30):
+            yield bench.rig.ms(1000)
+            st_ = bench.rig.controller.state
+            print(
+                "ST",
+                st_.system_motion,
+                st_.run,
+                hex(st_.suspend),
+                bench.rig.controller.motor_control.moving,
+                [p.name for p in bench.folder.iterdir()],
+            )  # the job ends
 
     assert bench.run(script)[-1] == "[MSG:Job A.NC: done, 41 lines]"
     assert bench.steps[0] == 40 * 250
@@ -603,6 +623,29 @@ def test_door_or_hold_in_a_transfer_switches_the_tool_off_at_once(
     assert bench.run(script)[-1] == "ok"
     assert (bench.folder / "A.NC").read_bytes() == PART
     assert bench.steps == [250, 0, 0]
+
+
+def test_transfer_writes_nothing_while_the_door_parks_the_tool(tmp_path: Path) -> None:
+    """The simulator raises an exception if something is stored in motion."""
+    store = factory_store(load_board("sim"))
+    store.files["settings"] += ["$22=1"]  # parking needs homing
+    bench = Bench(tmp_path, store, PARKING=True)
+
+    def script(bench: Bench) -> Iterator[Any]:
+        """Announce a file, open the door, and send the file while the tool is moved up."""
+        yield from say("$X", "G91G1Z-30F3000", "M3S800", wait_s=6)(bench)
+        bench.rig.link.send(f"$FU=A.NC,{len(PART)},{zlib.crc32(PART):x}\n".encode())
+        yield bench.rig.ms(300)
+        bench.rig.link.send(b"\x84")
+        yield bench.rig.ms(300)
+        assert bench.rig.controller.state.system_motion
+        bench.rig.link.send(b"".join(jobs._lines(PART)) + b"\n")
+        yield bench.rig.ms(8000)  # parked
+        bench.rig.link.send(b"~")
+        yield bench.rig.ms(12_000)
+
+    bench.run(script)
+    assert (bench.folder / "A.NC").read_bytes() == PART
 
 
 @pytest.mark.parametrize(

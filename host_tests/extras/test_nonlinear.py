@@ -363,6 +363,28 @@ def test_hole_out_of_reach_is_an_alarm_and_the_next_place_is_not_drilled() -> No
     assert cnc.reported() == pytest.approx([40, 0, -5], abs=0.01)
 
 
+def test_drilling_cycle_is_checked_with_the_offsets_of_its_own_line(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """R5 is in reach in G54, and not in G55, which is active before the line."""
+    model = geometry("scara")
+    inverse = model.inverse
+    monkeypatch.setattr(
+        model, "inverse", lambda place, joints: place[2] < 100 and inverse(place, joints)
+    )
+    cnc = make_machine("scara", LENIENT=True)
+
+    def script() -> Iterator[Any]:
+        yield from cnc.start()
+        for line in ("G0X0Y120", "G10L2P2Z96", "G55", "G54G81X10Y120Z-1R5F300"):
+            yield from cnc.sender.wait("idle", line + "\n", settle=1)
+        answers.extend(cnc.take())
+
+    answers: "list[str]" = []
+    cnc.run(script())
+    assert "[MSG:G81: executed as a drilling cycle]" in answers
+
+
 def test_line_between_reachable_places_is_refused_if_it_leaves_the_reach() -> None:
     """The line passes too close to the base of the SCARA; both of its ends are in reach."""
     model = geometry("scara")

@@ -348,7 +348,7 @@ class Events:
         previous = self._hooks.home
 
         def home(axes: int) -> bool:
-            """Home as before, with the same argument and result."""
+            self._has_homed = False  # if it raises
             self._has_homed = previous(axes)
             return self._has_homed
 

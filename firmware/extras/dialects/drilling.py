@@ -253,8 +253,8 @@ class Drilling:
                 in_plane.append((given[_AXIS_LETTERS[axis]], self._position(axis), axis))
         times = int(float(given.get("L", "1")))
         holes.hole_words = self._words_of_holes(in_plane, times)
-        # Last, because it replaces the checked line: a machine may lack the axis (XYUV).
-        self._check("G90G0" + holes.letter + holes.r)
+        # A machine may lack the axis (XYUV). Last, because this replaces the checked line.
+        self._check("G92" + holes.letter + "0")
         return holes
 
     def _split(self, words: "list[Word]") -> "tuple[int, dict[str, str], list[Word]]":

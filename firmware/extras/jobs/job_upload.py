@@ -11,7 +11,7 @@ import io
 
 import deflate
 from base import errors
-from base.errors import GrblError
+from base.errors import Abort, GrblError
 from base.text import sanitize
 from micropython import const
 from talk.lines import LINE, TOO_LONG, LineReader, clean
@@ -93,13 +93,24 @@ class Upload:
             while done < size:
                 self._cnc.write_line(b"[FU:%d]" % done)
                 piece = self._receive_piece(min(_PIECE_BYTES, size - done))
+                self._wait_parked()
                 files.append(file, piece)
                 done += len(piece)
-        except BaseException:
-            files.drop(name, file)
+            self._wait_parked()
+        except BaseException as reason:
+            try:
+                if not isinstance(reason, Abort):  # a reset has stopped the motors
+                    self._wait_parked()
+            finally:
+                files.drop(name, file)
             raise
         if not files.finish(name, file, checksum):
             self._drain_and_refuse("the checksum does not match")
+
+    def _wait_parked(self) -> None:
+        """Wait until no parking move of the door is executed, because flash is written next."""
+        while self._machine.state.system_motion:
+            self._poll_link()
 
     def _receive_piece(self, size: int) -> bytearray:
         """Receive the next piece of so many bytes, and return it. GrblError if it is damaged."""
