@@ -22,9 +22,8 @@ _BEGIN = {
     DRV_STATUS: 0x80000000,
 }
 _READABLE = (GCONF, GSTAT, IFCNT, IOIN, CHOPCONF, DRV_STATUS)
-_WRITABLE = (
-    *(GCONF, GSTAT, NODECONF, IHOLD_IRUN, TPOWERDOWN, TPWMTHRS, TCOOLTHRS, SGTHRS, CHOPCONF),
-)
+_THRESHOLDS = (TPWMTHRS, TCOOLTHRS, SGTHRS)
+_WRITABLE = (GCONF, GSTAT, NODECONF, IHOLD_IRUN, TPOWERDOWN, CHOPCONF) + _THRESHOLDS
 # A datagram: sync, address, register with the write flag, four bytes of data unless it is a read
 # request, CRC. The address of the master, in answers, is 255.
 _READ_BYTES, _WRITE_BYTES = 4, 8  # length of a request
