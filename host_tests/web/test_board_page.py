@@ -134,8 +134,8 @@ def test_job_is_run_held_and_ended_from_page(board: Board, visit: Callable[..., 
     """The page sends a program to the board over the network; Hold and Resume work meanwhile."""
     person = enter_key(board, visit())
     person.types("G92 X0 Y0")
-    # 14 lines, the last one to X10 Y1.
-    person.loads("G21 G90 F1200\n" + "".join(f"G1 X{i % 2 * 10} Y{i % 3}\n" for i in range(14)))
+    # 8 lines, 15 s; the last one goes to X10 Y1.
+    person.loads("G21 G90 F1200\n" + "".join(f"G1 X{i % 2 * 10} Y{i % 3}\n" for i in range(8)))
     person.click("#tabs [data-tab=job]")
     # The board itself estimates no times.
     person.reads("#job-words", "How long it takes is not known")
@@ -164,7 +164,7 @@ def test_second_page_watches_and_takes_over_after_first_was_silent(
     assert two.page.is_enabled("#stop") and one.page.is_enabled("#stop")
     one.types("G4 P0.1")  # `one` is active now, so `two` may take over only after 5 s
     two.click("#take")
-    two.reads("#notice-trouble", "nobody has sent a line for 5 seconds")
+    two.reads("#notice-trouble", "no line was sent for 5 seconds")
     two.waits("grbl.state === 'Idle'")  # it reads the machine's state all the same
     two.pauses(5.5)  # seconds in which `one` sends no line
     two.click("#take")

