@@ -23,7 +23,7 @@ _SETTINGS = (
 # Steps from the start to each switch; the second motor of Y has its switch later.
 _SWITCH_STEPS = (100, 100, 100, 160)
 _OFFSET_STEPS = 30  # $171, in steps
-_HEAP_BYTES = 68_000
+_HEAP_BYTES = 67_000
 _TICK_NS = 80
 
 
