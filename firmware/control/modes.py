@@ -24,6 +24,8 @@ SPINDLE = const(8)
 COOLANT = const(9)
 OVERRIDE_CONTROL = const(10)
 MODAL_LENGTH = const(11)
+# Bit i: with motion mode i, of G1, G2 and G3, a laser cuts.
+CUTTING = const(1 << 1 | 1 << 2 | 1 << 3)
 # Length of Modes.modal: a block has more words after these (language/block_layout.py); 0 here.
 MODAL_ROOM = const(18)
 

@@ -4,7 +4,7 @@ from base import state as st
 from micropython import const
 
 from control.coolant import FLOOD, MIST
-from control.modes import COOLANT, MOTION, RPM, SPINDLE
+from control.modes import COOLANT, CUTTING, MOTION, RPM, SPINDLE
 from control.spindle import CW, OFF
 
 TYPE_CHECKING = const(False)
@@ -39,7 +39,6 @@ _OVERRIDES = {
 _SPINDLE_STOP = const(0x9E)  # real-time bytes
 _FLOOD_TOGGLE = const(0xA0)
 _MIST_TOGGLE = const(0xA1)
-_LAST_CUTTING = const(3)  # the number of G3; G1 is the first
 _LOWEST = const(10)  # percent, of feed and spindle
 _HIGHEST = const(200)
 
@@ -139,7 +138,7 @@ class Overrides:
         report one that is off as such. Called when the blocks that would do it are dropped."""
         modal, spindle = self._modes.modal, self._spindle
         if spindle.laser and modal[SPINDLE]:
-            cuts = modal[SPINDLE] == CW and 1 <= modal[MOTION] <= _LAST_CUTTING
+            cuts = modal[SPINDLE] == CW and CUTTING >> modal[MOTION] & 1
             lit = cuts and spindle.direction() != OFF
             spindle.restore(modal[SPINDLE], self._modes.rates[RPM] if lit else 0.0)
 

@@ -13,7 +13,6 @@ SEEK = const(0)
 LINEAR = const(1)
 CW_ARC = const(2)
 CCW_ARC = const(3)
-CUTTING = const(1 << LINEAR | 1 << CW_ARC | 1 << CCW_ARC)  # those in which a laser cuts
 NO_MOTION = const(80)
 PROBE_TOWARD = const(158)  # G38.2
 PROBE_TOWARD_NO_ALARM = const(168)

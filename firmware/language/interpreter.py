@@ -177,7 +177,7 @@ class Interpreter:
         if self._canon.outside(block.xyz):
             raise GrblError(errors.TRAVEL_EXCEEDED)
         move = self._begin_move(block, layout.NO_FEED_OVERRIDE)
-        if self._spindle.laser and not b.CUTTING >> modes.modal[mode.MOTION] & 1:
+        if self._spindle.laser and not mode.CUTTING >> modes.modal[mode.MOTION] & 1:
             move.spindle_rpm = 0.0  # a beam that the program's motion mode keeps dark stays dark
         self._canon.jog(block.xyz, move)
         copy(block.xyz, modes.position, block.axes)

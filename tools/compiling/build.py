@@ -116,8 +116,8 @@ def for_chip(sources: Mapping[str, str], arch: str) -> dict[str, str]:
     """
     result = dict(sources)
     if _CHIP not in processors(arch):
-        if _CHIP_LINE not in result[_LAYOUT]:
-            raise ValueError(f"{_LAYOUT} lacks the line {_CHIP_LINE.strip()}")
+        if result[_LAYOUT].count(_CHIP_LINE) != 1:
+            raise ValueError(f"{_LAYOUT} lacks the line {_CHIP_LINE.strip()}, or has it twice")
         result[_LAYOUT] = result[_LAYOUT].replace(_CHIP_LINE, f"\n{_CHIP} = const(0)\n")
     return result
 

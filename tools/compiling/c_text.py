@@ -14,9 +14,8 @@ from .viper import BITS, Key, Module
 
 _BINARY = dict(zip((ast.Add, ast.Sub, ast.Mult, ast.BitAnd, ast.BitOr, ast.BitXor), "+-*&|^"))
 _FUNCTIONS = {ast.FloorDiv: "quotient", ast.Mod: "modulo", ast.LShift: "left", ast.RShift: "right"}
-_COMPARE = dict(
-    zip((ast.Eq, ast.NotEq, ast.Lt, ast.LtE, ast.Gt, ast.GtE), "== != < <= > >=".split())
-)
+_COMPARED = (ast.Eq, ast.NotEq, ast.Lt, ast.LtE, ast.Gt, ast.GtE)
+_COMPARE = dict(zip(_COMPARED, "== != < <= > >=".split(), strict=True))
 _PLACE = "@"  # stands for an index that has been computed already; not a name in the sources
 
 

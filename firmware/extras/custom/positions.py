@@ -5,6 +5,7 @@ from array import array
 from base import state as st
 from control.modes import (
     COOLANT,
+    CUTTING,
     FEED,
     INCHES,
     INVERSE_TIME,
@@ -18,7 +19,6 @@ from control.modes import (
     SYSTEM,
 )
 from control.spindle import CW
-from language.block_layout import CUTTING
 from micropython import const
 
 TYPE_CHECKING = const(False)
