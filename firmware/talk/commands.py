@@ -8,7 +8,6 @@ from base.errors import GrblError
 from base.float32 import truncate
 from base.hooks import call_all
 from base.text import text_of
-from control.coolant import FLOOD, MIST
 from control.modes import (
     COOLANT,
     FEED,
@@ -42,6 +41,7 @@ _PLUS = const(43)  # the character +
 _HASH = const(35)  # the character #
 _DOLLAR = const(36)  # the character $
 _STAR = const(42)  # the character *
+_COOLANT = (" M9", " M8", " M7", " M7 M8")  # words of $G, by mask of coolant.FLOOD and MIST
 _AT_ANY_TIME = b"\0$GCX"  # letters of commands that any state allows; \0 is the help of a lone $
 READ_ONLY = b"G$#IN"  # such a command, with nothing after it, changes nothing
 
@@ -188,25 +188,20 @@ class Commands:
         """Return the modal state as text, as $G prints it."""
         modes, modal, report = self._modes, self._modes.modal, self._report
         motion = modal[MOTION]  # the number of G, or 138 + 10 n for a probe, G38.n
-        words = ["G%d" % motion if motion < PROBE_TOWARD else "G38.%d" % ((motion - 138) // 10)]
-        words.append("G%d" % (54 + modal[SYSTEM]))
-        words.append("G%d" % (17 + modal[PLANE]))
-        words.append("G%d" % (20 if modal[INCHES] else 21))
-        words.append("G%d" % (91 if modal[RELATIVE] else 90))
-        words.append("G%d" % (93 if modal[INVERSE_TIME] else 94))
-        # Numbers of M words. SPINDLE is 0, 0x10 or 0x20 for M5, M3 or M4.
-        numbers = [(5, 3, 4)[modal[SPINDLE] >> 4]]
-        if modal[COOLANT] & MIST:
-            numbers.append(7)
-        if modal[COOLANT] & FLOOD:
-            numbers.append(8)
-        if not modal[COOLANT]:
-            numbers.append(9)
+        text = "G%d" % motion if motion < PROBE_TOWARD else "G38.%d" % ((motion - 138) // 10)
+        text += " G%d G%d G%d G%d G%d M%d" % (
+            54 + modal[SYSTEM],
+            17 + modal[PLANE],
+            20 if modal[INCHES] else 21,
+            91 if modal[RELATIVE] else 90,
+            93 if modal[INVERSE_TIME] else 94,
+            (5, 3, 4)[modal[SPINDLE] >> 4],  # SPINDLE is 0, 0x10 or 0x20
+        )
+        text += _COOLANT[modal[COOLANT]]
         if self._override_control and self._state.override_control:
-            numbers.append(56)
-        words += ["M%d" % number for number in numbers]
-        words += ["T%d" % modes.tool, "F" + report.rate(modes.rates[FEED])]
-        return " ".join(words) + " S" + report.speed(modes.rates[RPM])
+            text += " M56"
+        rate, speed = report.rate(modes.rates[FEED]), report.speed(modes.rates[RPM])
+        return text + " T%d F%s S%s" % (modes.tool, rate, speed)
 
     def _check_mode(self, _line: bytearray, _length: int) -> None:
         """Execute $C: begin check mode, or end it by a reset, as Grbl does."""

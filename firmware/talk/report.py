@@ -14,7 +14,6 @@ from base import errors
 from base import state as st
 from base.float32 import INCH_PER_MM, copy, f32, vector
 from base.float32_math import MINUS, add, add_single
-from base.text import text_of
 from control.coords import NAMES
 from control.spindle import in_range
 from micropython import const
@@ -171,9 +170,12 @@ class Report:
         self._link.write(b"[echo: " + line + b"]\r\n")
 
     def setting(self, key: int, value: float, decimals: int) -> None:
-        """Send one line of $$: key is the setting's number; its value is sent with so many
-        decimals."""
-        self._line("$%d=%s" % (key, number(value, decimals)))
+        """Send one line of $$. key: the setting's number; decimals: those of its value, 0 or 3."""
+        ints = self._ints
+        ints[END] = 0
+        ints[VALUES] = key
+        self._shown[0] = value
+        self._write_end(b"$%=#3\r\n\0" if decimals else b"$%=#0\r\n\0")
 
     def startup_line(self, index: int, text: str) -> None:
         """Send one line of $N."""
@@ -202,24 +204,26 @@ class Report:
         """Answer $#: all offsets and the last probe position (mm of machine coordinates)."""
         coords = self._coords
         for i in range(len(coords.systems)):
-            self._line("[%s:%s]" % (NAMES[i], self.vector(coords.systems[i])))
-        self._line("[G92:%s]" % self.vector(coords.g92))
+            self._offset("[" + NAMES[i] + ":\0", coords.systems[i])
+        self._offset("[G92:\0", coords.g92)
         self._line("[TLO:%s]" % self._length(coords.tool_length))
         self.probe(probe)
+
+    def _offset(self, name: str, mm: "array[float]") -> None:
+        """Send one line of $#. name: a form that begins it."""
+        self._ints[END] = 0
+        self._write_lengths(name.encode(), mm)
+        self._write_end(b"]\r\n\0")
 
     def probe(self, probe: "array[float]") -> None:
         """Send the position of the last probe contact (mm of machine coordinates), and whether the
         probe succeeded."""
-        succeeded = 1 if self._state.probe_succeeded else 0
-        self._line("[PRB:%s:%d]" % (self.vector(probe), succeeded))
+        self._ints[END] = 0
+        self._write_lengths(b"[PRB:\0", probe)
+        self._ints[VALUES] = 1 if self._state.probe_succeeded else 0
+        self._write_end(b":%]\r\n\0")
 
     # Parts
-
-    def vector(self, mm: "array[float]") -> str:
-        """Return axis values as text, in the units of reports."""
-        self._ints[END] = 0
-        self._write_lengths(b"\0", mm)  # a field without a name
-        return text_of(self._text[: self._ints[END]])
 
     def _length(self, mm: float) -> str:
         """Return a length as text, in the units of reports."""
@@ -240,6 +244,11 @@ class Report:
     def _line(self, text: str) -> None:
         """Send the text as a line."""
         self._link.write((text + "\r\n").encode())
+
+    def _write_end(self, form: bytes) -> None:
+        """Write the form after the text, and send the whole text."""
+        length = write(form, self._text, self._ints, self._shown)
+        self._link.write(memoryview(self._text)[:length])
 
     # The status report
 

@@ -11,6 +11,7 @@ from base import state as st
 from base.errors import GrblError
 from base.text import text_of
 from micropython import const
+from talk.digits import END
 from talk.lines import READS
 from talk.report import BUILD, Report
 
@@ -112,9 +113,10 @@ class ReportHal(Report):
         state.override_countdown = 0  # next time again: gSender reads Ov: only in normal reports
         if self._alarm_number and state.run == st.ALARM:
             text = b"<Alarm:%d" % self._alarm_number + text[_ALARM_LENGTH:]
-        more = "|WCO:" + self.vector(self._work_offset()) + "|T:%d" % self.modal.tool
-        more += "|SD:1|FW:grblHAL>\r\n" if self.has_jobs else "|FW:grblHAL>\r\n"
-        return memoryview(text + more.encode())
+        self._ints[END] = 0
+        self._write_lengths(b"|WCO:\0", self._work_offset())
+        text += bytes(self._text[: self._ints[END]]) + b"|T:%d" % self.modal.tool
+        return memoryview(text + (b"|SD:1" if self.has_jobs else b"") + b"|FW:grblHAL>\r\n")
 
 
 class Bytes:
