@@ -27,7 +27,7 @@ from motion.arc_geometry import lay
 from motion.arcs import CHORDS_LEFT
 from motion.minifloat import per_second
 from motion.plan_kernel import FULL, OUTSIDE, plan_block
-from motion.planner import COOLANT_SHIFT, SPINDLE_CCW, SPINDLE_MASK
+from motion.planner import COOLANT_SHIFT, SPINDLE_CCW, SPINDLE_CW, SPINDLE_MASK
 
 from language import block_layout as b
 from language.block import read
@@ -152,9 +152,10 @@ def run_move(asked: int, modal: ptr32, memory: object) -> int:
             planned = int(
                 plan_block(xyz, ptr32(table), ptr32(ring), flow, flags, line, power, rate)
             )
-        if planned == 0:  # no step: the interpreter does the rest, because a laser may need power
+        if planned:
+            ptr32(speeds)[row] = speed  # rpm, from which overrides compute the power again
+        elif scale[LASER] and flags & SPINDLE_CW:  # no steps: Canon.apply_zero_length()
             return 0
-        ptr32(speeds)[row] = speed  # rpm, from which overrides compute the power again
     if asked & b.MOVE:
         copy(xyz, position, axes)
     return 1

@@ -162,6 +162,7 @@ program = st.lists(
 )
 @example(["M4S9F5G91", "G2X0.1R5", "G3X0.1R5S5", "G93G2X0.1R5F3", "M3", "G2I0.001S7"], True, False)
 @example(["G93", "G1X1F9", "X2F9", "X3", "G20", "X4F5", "G0X0", "G0X1F3", "G94"], False, True)
+@example(["M3S9F5", "G1X1", "X1S5", "X1.0001", "M4X1S7", "M5X1.0002S8", "X2"], True, False)
 @example(["F9", "G1X1", "G93X2F3", "X3F3", "G93X4F4", "G94X5", "G94X5F5", "X6"], True, True)
 def test_kernels_and_interpreter_give_the_same_result(
     lines: "list[str]", laser: bool, mist: bool
@@ -262,6 +263,25 @@ def test_kernels_do_lines_that_need_no_wait() -> None:
     for text in ("G90G21X9", "G90G94", "M5M9", "G91X1", "G20G90", "G21", "G18", "G19X7G91", "S9"):
         assert bench.done_by_kernels(text), text
     assert bench.machine.modes.rates[modal.FEED] == 502  # of F502, the last F
+
+
+def test_kernels_do_lines_without_steps_except_of_a_beam_in_m3() -> None:
+    """CAM software rounds to digits finer than a step. In M3 the beam takes the S of such a line
+    at once, which the interpreter does."""
+    for laser, modes, expected in (
+        (False, "M3", 1),
+        (True, "M5", 1),
+        (True, "M4", 1),
+        (True, "M3", 0),
+    ):
+        bench = Bench(laser, by_kernels=True)
+        for text in (f"{modes}S100F300", "G1X1", "X2"):
+            bench.effect_of(text)
+        for text in ("X2", "X2.0001"):
+            assert bench.done_by_kernels(text) == expected, (laser, modes, text)
+            assert bench.machine.planner.empty()
+        if expected:
+            assert bench.machine.modes.position[0] == pytest.approx(2.0001)
 
 
 def test_kernels_do_an_arc_of_a_single_chord() -> None:
