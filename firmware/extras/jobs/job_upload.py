@@ -89,10 +89,14 @@ class Upload:
         files = self._files
         file = files.begin(name)
         try:
+            piece = bytearray(_PIECE_BYTES)
             done = 0  # bytes written
             while done < size:
                 self._cnc.write_line(b"[FU:%d]" % done)
-                piece = self._receive_piece(min(_PIECE_BYTES, size - done))
+                if size - done < _PIECE_BYTES:  # the last
+                    piece = bytearray(size - done)
+                if self._receive_data(piece) != len(piece):
+                    self._drain_and_refuse("the data arrived damaged")
                 self._wait_parked()
                 files.append(file, piece)
                 done += len(piece)
@@ -112,23 +116,20 @@ class Upload:
         while self._machine.state.system_motion:
             self._poll_link()
 
-    def _receive_piece(self, size: int) -> bytearray:
-        """Receive the next piece of so many bytes, and return it. GrblError if it is damaged."""
-        piece = bytearray(size)
-        if self._receive_data(piece) != size:
-            self._drain_and_refuse("the data arrived damaged")
-        return piece
-
     def _receive_data(self, piece: bytearray) -> int:
         """Receive lines up to an empty one, and fill the piece with their data: base64 decoded,
         then inflated. Return the number of bytes; 0 if the data is damaged."""
-        packed = b""
+        line = memoryview(self._reader.line)
+        lines = []  # decoded; joined at the end, which leaves less garbage than adding each
+        count = 0  # their bytes
         length = self._next_line()
         try:
-            while length and len(packed) <= _PIECE_BYTES + _LINE_BYTES:  # more is damaged data
-                packed += binascii.a2b_base64(bytes(self._reader.line[:length]))
+            while length and count <= _PIECE_BYTES + _LINE_BYTES:  # more is damaged data
+                lines.append(binascii.a2b_base64(line[:length]))
+                count += len(lines[-1])
                 length = self._next_line()
-            return deflate.DeflateIO(io.BytesIO(packed), deflate.RAW, _WINDOW_LOG2).readinto(piece)
+            packed = io.BytesIO(b"".join(lines))
+            return deflate.DeflateIO(packed, deflate.RAW, _WINDOW_LOG2).readinto(piece)
         except (ValueError, OSError, EOFError):
             return 0
 
