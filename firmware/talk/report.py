@@ -269,8 +269,9 @@ class Report:
         else:
             state.wco_countdown -= 1
             state.override_countdown -= 1
-            laser_moves = self._is_laser and state.run & MOVING
-            spindle = self._laser_speed() if laser_moves else state.spindle
+            spindle = state.spindle
+            if self._is_laser and state.run & MOVING:
+                spindle = self._laser_speed()
             length = write_common(state_form, self._common_args, spindle, state.run)
         if length != self._last_length:
             # A slice allocates an object; most reports are as long as the one before.

@@ -16,7 +16,7 @@ from ugrbl.device import jobs
 pytestmark = pytest.mark.xdist_group("pico jobs")
 
 _PIECE = 2048
-_KB_PER_S = 45
+_KB_PER_S = 50
 _SETTINGS = (
     *[f"${number + axis}={value}" for axis in range(3) for number, value in ((100, 100),)],
     *[f"${number + axis}={value}" for axis in range(3) for number, value in ((110, 6000),)],
@@ -140,7 +140,7 @@ def xy_of(line: str) -> list[float]:
     return [float(word[1:]) for word in line.split() if word[0] in "XY"]
 
 
-def test_file_is_received_at_45_kilobytes_a_second(uf2: Path, tmp_path: Path) -> None:
+def test_file_is_received_at_50_kilobytes_a_second(uf2: Path, tmp_path: Path) -> None:
     machine = start_with_flash(uf2, dragged_flash(tmp_path, uf2))
     angles = [i / 100 for i in range(1200)]
     lines = [f"G1X{50 * math.cos(a):.3f}Y{50 * math.sin(a):.3f}F1500" for a in angles]
