@@ -137,7 +137,6 @@ def write(form: ptr8, out: ptr8, ints: ptr32, singles: ptr32) -> int:
     return end
 
 
-_form = bytearray(b"#0\0")
 _out = bytearray(32)
 _end = array("i", (0,))
 _single = array("f", (0.0,))
@@ -147,6 +146,5 @@ def number(x: float, decimals: int) -> str:
     """Return x as text, rounded to so many decimals (0, 1, 3 or 4), as Grbl prints it."""
     _end[END] = 0
     _single[0] = x
-    _form[1] = _ZERO + decimals
-    end = write(_form, _out, _end, _single)
+    end = write(b"#%d\0" % decimals, _out, _end, _single)
     return text_of(_out[:end])

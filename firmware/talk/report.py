@@ -175,7 +175,7 @@ class Report:
         ints[END] = 0
         ints[VALUES] = key
         self._shown[0] = value
-        self._write_end(b"$%=#3\r\n\0" if decimals else b"$%=#0\r\n\0")
+        self._send(b"$%=#3\r\n\0" if decimals else b"$%=#0\r\n\0")
 
     def startup_line(self, index: int, text: str) -> None:
         """Send one line of $N."""
@@ -213,7 +213,7 @@ class Report:
         """Send one line of $#. name: a form that begins it."""
         self._ints[END] = 0
         self._write_lengths(name.encode(), mm)
-        self._write_end(b"]\r\n\0")
+        self._send(b"]\r\n\0")
 
     def probe(self, probe: "array[float]") -> None:
         """Send the position of the last probe contact (mm of machine coordinates), and whether the
@@ -221,7 +221,7 @@ class Report:
         self._ints[END] = 0
         self._write_lengths(b"[PRB:\0", probe)
         self._ints[VALUES] = 1 if self._state.probe_succeeded else 0
-        self._write_end(b":%]\r\n\0")
+        self._send(b":%]\r\n\0")
 
     # Parts
 
@@ -245,7 +245,7 @@ class Report:
         """Send the text as a line."""
         self._link.write((text + "\r\n").encode())
 
-    def _write_end(self, form: bytes) -> None:
+    def _send(self, form: bytes) -> None:
         """Write the form after the text, and send the whole text."""
         length = write(form, self._text, self._ints, self._shown)
         self._link.write(memoryview(self._text)[:length])
