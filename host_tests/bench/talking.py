@@ -45,6 +45,8 @@ def _boards_of_axes() -> "Iterator[tuple[str, tuple[int, str]]]":
     pico = (BOARDS / "rpi_pico.py").read_text("utf-8")
     yield "three axes", (3, pico)
     yield "three axes and a skew", (3, f"{pico}\nSKEW = True\n")
+    gantry = (BOARDS / "pico_gantry.py").read_text("utf-8")
+    yield "three axes, two motors on Y", (3, gantry)
     six = (BOARDS / "pico_six.py").read_text("utf-8")
     for count, word in ((4, "four"), (5, "five"), (6, "six")):
         cut = ", ".join(f"{name}[:{count}]" for name in ("STEP", "DIR", "LIMIT"))
@@ -276,8 +278,8 @@ def clusters(bench: Bench) -> Iterator[Row]:
 def axes(bench: Bench) -> Iterator[Row]:
     """Time short moves in all axes, and read free memory, on emulated boards of their own.
 
-    Boards of three axes are as the default board, and one has a skew; boards of more axes have the
-    first motors of pico_six.py.
+    Boards of three axes are as the default board; one has a skew, and one is pico_gantry.py.
+    Boards of more axes have the first motors of pico_six.py.
     """
     if not bench.emulated:
         return
