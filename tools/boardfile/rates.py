@@ -24,7 +24,7 @@ class Rates(NamedTuple):
         return figure / 1000 if kind.endswith("_ms") else 1 / figure
 
 
-PICO = Rates(plain=2180, power=1840, in_python_ms=2.13, no_words_ms=0.256, chords=5340)
+PICO = Rates(plain=2180, power=1840, in_python_ms=2.13, no_words_ms=0.256, chords=5400)
 _MEASURED = "RP2040"
 # Bytes a second of an ESP32's serial port.
 _UART_BYTES_S = 115_200 / 10
