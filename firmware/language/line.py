@@ -147,12 +147,10 @@ def run_move(asked: int, modal: ptr32, memory: object) -> int:
         rate = int(per_second(singles, b.F))  # a minifloat (motion/minifloat.py)
         row = flow[layout.HEAD]  # the free row of the ring, which the block will use
         if hook:  # an extra's function, which plans instead of plan_block()
-            planned = int(hook(target, flags, line, power, rate))
+            made = int(hook(target, flags, line, power, rate))
         else:
-            planned = int(
-                plan_block(xyz, ptr32(table), ptr32(ring), flow, flags, line, power, rate)
-            )
-        if planned:
+            made = int(plan_block(xyz, ptr32(table), ptr32(ring), flow, flags, line, power, rate))
+        if made:
             ptr32(speeds)[row] = speed  # rpm, from which overrides compute the power again
         elif scale[LASER] and flags & SPINDLE_CW:  # no steps: Canon.apply_zero_length()
             return 0

@@ -1,11 +1,10 @@
-"""Reports: all text that the machine sends.
+"""Reports: all text that the machine sends, in the formats of Grbl 1.1h, byte for byte.
 
-Formats are those of Grbl 1.1h, byte for byte. Answers are constant bytes. A status report, which
-is requested during motion, is written into a buffer of its own and allocates nothing.
-
-It is written from forms, texts that a 0 ends, by digits.write(text, ints, mm): % is the next
-integer of ints, which begin at VALUES; #3 the next float of mm, with 3 decimals; ?P is a P if the
-lowest bit of the next integer is set, which is then shifted right for the next letter.
+A status report, which is requested during motion, is written into a buffer of its own and
+allocates nothing. It and the answers to $$ and $# are written from forms, texts that a 0 ends, by
+digits.write(text, ints, mm): % is the next integer of ints, which begin at VALUES; #3 the next
+float of mm, with 3 decimals; ?P is a P if the lowest bit of the next integer is set, which is then
+shifted right for the next letter.
 """
 
 from array import array
@@ -171,9 +170,8 @@ class Report:
 
     def setting(self, key: int, value: float, decimals: int) -> None:
         """Send one line of $$. key: the setting's number; decimals: those of its value, 0 or 3."""
-        ints = self._ints
-        ints[END] = 0
-        ints[VALUES] = key
+        self._ints[END] = 0
+        self._ints[VALUES] = key
         self._shown[0] = value
         self._send(b"$%=#3\r\n\0" if decimals else b"$%=#0\r\n\0")
 
@@ -204,32 +202,21 @@ class Report:
         """Answer $#: all offsets and the last probe position (mm of machine coordinates)."""
         coords = self._coords
         for i in range(len(coords.systems)):
-            self._offset("[" + NAMES[i] + ":\0", coords.systems[i])
-        self._offset("[G92:\0", coords.g92)
-        self._line("[TLO:%s]" % self._length(coords.tool_length))
+            self._send_lengths("[" + NAMES[i] + ":\0", coords.systems[i])
+        self._send_lengths("[G92:\0", coords.g92)
+        length, decimals = coords.tool_length, 3
+        if self._settings.report_inches:
+            length, decimals = f32(length * INCH_PER_MM), 4
+        self._line("[TLO:%s]" % number(length, decimals))
         self.probe(probe)
-
-    def _offset(self, name: str, mm: "array[float]") -> None:
-        """Send one line of $#. name: a form that begins it."""
-        self._ints[END] = 0
-        self._write_lengths(name.encode(), mm)
-        self._send(b"]\r\n\0")
 
     def probe(self, probe: "array[float]") -> None:
         """Send the position of the last probe contact (mm of machine coordinates), and whether the
         probe succeeded."""
-        self._ints[END] = 0
-        self._write_lengths(b"[PRB:\0", probe)
         self._ints[VALUES] = 1 if self._state.probe_succeeded else 0
-        self._send(b":%]\r\n\0")
+        self._send_lengths("[PRB:\0", probe, b":%]\r\n\0")
 
     # Parts
-
-    def _length(self, mm: float) -> str:
-        """Return a length as text, in the units of reports."""
-        if self._settings.report_inches:
-            return number(f32(mm * INCH_PER_MM), 4)
-        return number(mm, 3)
 
     def rate(self, mm_min: float) -> str:
         """Return a feed rate as text, in the units of reports."""
@@ -244,6 +231,12 @@ class Report:
     def _line(self, text: str) -> None:
         """Send the text as a line."""
         self._link.write((text + "\r\n").encode())
+
+    def _send_lengths(self, name: str, mm: "array[float]", end: bytes = b"]\r\n\0") -> None:
+        """Send a line of axis values (mm), in the units of reports. name, end: forms."""
+        self._ints[END] = 0
+        self._write_lengths(name.encode(), mm)
+        self._send(end)
 
     def _send(self, form: bytes) -> None:
         """Write the form after the text, and send the whole text."""
