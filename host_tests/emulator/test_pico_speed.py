@@ -93,7 +93,7 @@ _ROWS: "dict[str, tuple[float, Sequence[str]]]" = {
             for x in ("short moves", "half circles", "half circles and a collection")
         ],
     ),
-    "memory of a plain line": (
+    "heap allocated by a plain line": (
         1,
         [
             f"heap per line, {x}"
