@@ -23,7 +23,6 @@ from base import errors
 from base.float32_math import add_single, multiply, whole_part
 from control import modes as mode
 from control.coords import G28, G30, G92, SYSTEMS
-from control.modes import CUTTING
 from motion.arc_geometry import subtract
 from motion.planner import SPINDLE_CW
 
@@ -345,9 +344,10 @@ def _asked(ints: ptr32, singles: ptr32, modal: ptr32, rates: ptr32, laser: int) 
         asked |= b.FLOW
     if laser:
         # Whether this line's motion mode cuts, and whether the last one's did.
-        cuts = 1 if ints[mode.MOTION] <= b.CCW_ARC and (CUTTING >> ints[mode.MOTION]) & 1 else 0
+        motion = ints[mode.MOTION]
+        cuts = 1 if motion <= b.CCW_ARC and (mode.CUTTING >> motion) & 1 else 0
         last = modal[mode.MOTION]
-        did_cut = 1 if last <= b.CCW_ARC and (CUTTING >> last) & 1 else 0
+        did_cut = 1 if last <= b.CCW_ARC and (mode.CUTTING >> last) & 1 else 0
         if cuts == 0:
             asked |= b.BEAM_OFF  # the beam is off in this line
         if ints[b.WORDS] & b.AXIS_WORDS and ints[b.AXIS_USE] == b.AXES_FOR_MOTION:

@@ -48,37 +48,28 @@ def _frames(compiled: bytes) -> "Iterator[tuple[str, int]]":
         if head[-1] & mpy._HAS_CHILDREN:
             next(parts)  # their number; each follows as a function
         if head[-1] & mpy._KINDS == mpy._BYTECODE:
-            words, at = _prelude(code)
-            yield names[_number(code, at)[0]], words
+            name, words = _prelude(code)
+            yield names[name], words
+
+
+def _names(compiled: bytes) -> "Iterator[str]":
+    """Yield the texts of the table of names; "" for one of MicroPython's own."""
+    reader = mpy._Reader(compiled)
+    count, _constants = reader._number(), reader._number()
+    for _ in range(count):
+        length = reader._number()
+        yield "" if length & mpy._IS_ROM else reader._take((length >> 1) + 1)[:-1].decode()
 
 
 def _prelude(code: bytes) -> "tuple[int, int]":
-    """Return the words of the frame, and the index of the name's number: MicroPython's py/bc.h."""
+    """Return the number of the function's name, and the words of its frame: see MicroPython's
+    py/bc.h."""
     state, exceptions, at = code[0] >> 3 & 15, code[0] >> 2 & 1, 0
     while code[at] & 128:
         at += 1
         state |= (code[at] & 48) << 2 * (at - 1)
         exceptions |= (code[at] & 2) << (at - 1)
-    at = _number(code, at + 1)[1]  # over the sizes
-    return state + 1 + _EXCEPTION_WORDS * exceptions, at
-
-
-def _names(compiled: bytes) -> "Iterator[str]":
-    """Yield the texts of the table of names; "" for one of MicroPython's own."""
-    count, at = _number(compiled, mpy._HEAD)
-    _, at = _number(compiled, at)  # of constants
-    for _ in range(count):
-        length, at = _number(compiled, at)
-        size = 0 if length & mpy._IS_ROM else (length >> 1) + 1
-        yield compiled[at : at + size - 1].decode() if size else ""
-        at += size
-
-
-def _number(data: bytes, at: int) -> "tuple[int, int]":
-    """Return the number that mpy.number() has encoded at index `at`, and the index after it."""
-    value = 0
-    while True:
-        byte = data[at]
-        value, at = value << 7 | byte & 127, at + 1
-        if byte < 128:
-            return value, at
+    reader = mpy._Reader(code)
+    reader.at = at + 1
+    reader._number()  # sizes
+    return reader._number(), state + 1 + _EXCEPTION_WORDS * exceptions

@@ -120,15 +120,13 @@ class Upload:
         """Receive lines up to an empty one, and fill the piece with their data: base64 decoded,
         then inflated. Return the number of bytes; 0 if the data is damaged."""
         line = memoryview(self._reader.line)
-        lines = []  # decoded; joined at the end, which leaves less garbage than adding each
-        count = 0  # their bytes
+        packed = io.BytesIO()
         length = self._next_line()
         try:
-            while length and count <= _PIECE_BYTES + _LINE_BYTES:  # more is damaged data
-                lines.append(binascii.a2b_base64(line[:length]))
-                count += len(lines[-1])
+            while length and packed.tell() <= _PIECE_BYTES + _LINE_BYTES:  # more is damaged data
+                packed.write(binascii.a2b_base64(line[:length]))
                 length = self._next_line()
-            packed = io.BytesIO(b"".join(lines))
+            packed.seek(0)
             return deflate.DeflateIO(packed, deflate.RAW, _WINDOW_LOG2).readinto(piece)
         except (ValueError, OSError, EOFError):
             return 0
