@@ -99,6 +99,22 @@ def test_return_starts_from_zero_that_was_set_just_before_confirmation(person):
     assert "G0 Z5" in lines[lines.index("T2 M6") : lines.index("T2")]  # from Z0 now
 
 
+def test_second_change_returns_to_its_own_place_if_machine_answers_at_once(person):
+    """All answers between two changes come in one piece, so the page is not told of the job in
+    between. It returned to the place of the first change."""
+    pauses_at_change(person, "G21 G90\nT1 M6\nG0 Z5\nT2 M6\nG0 Z3\nM2\n")
+    person.page.evaluate("""() => {
+        const tell = grbl.tell;
+        grbl.tell = (name, ...rest) => {
+            if (name !== "change" || job.state !== "running") tell.call(grbl, name, ...rest);
+        };
+    }""")
+    goes_on(person)
+    person.reads("#tool-title", "Tool change: tool 2")
+    person.waits("toolPause.place")
+    assert person.page.evaluate("toolPause.place") == [0, 0, 5]
+
+
 def test_confirmation_is_possible_while_page_asks_for_modes(person):
     pauses_at_change(person)
     script = "() => { grbl.send('$G', true); renderAll(); return $('tool-go').disabled; }"

@@ -86,11 +86,14 @@ function renderToolChange() {
 grbl.on("change", () => {
   const pauses = job?.state === "tool" && grbl.drives;
   if (pauses && !toolPause && job.rests && asked() && is("Idle")) beginToolChange();
-  else if (!pauses && toolPause) {
-    toolPause = null;
-    $("tool-change").hidden = true;
-  } else if (toolPause?.place) renderToolChange();
+  else if (!pauses && toolPause) endToolPause();
+  else if (toolPause?.place) renderToolChange();
 });
+
+function endToolPause() {
+  toolPause = null;
+  $("tool-change").hidden = true;
+}
 
 $("tool-go").onclick = () => alone(async () => {
   const pause = toolPause;
@@ -99,7 +102,9 @@ $("tool-go").onclick = () => alone(async () => {
     if (toolPause !== pause) return;
     await sendLines([line]);
   }
-  if (toolPause === pause) job.toolChanged();
+  if (toolPause !== pause) return;
+  endToolPause(); // not by the next "change": the answers up to the next M6 may come in one piece
+  job.toolChanged();
 });
 $("tool-end").onclick = () => job.end();
 $("tool-up").onclick = () => grbl.send(`$J=G21 G90 ${word("Z", safeZ())} F${zFeed() * (grbl.inches ? MM_PER_INCH : 1)}`);
