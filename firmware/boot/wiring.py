@@ -141,7 +141,7 @@ def _make_talk(machine: Controller, options: Options, link: "Link") -> None:
     """Create the path of a byte to its answer: commands, line reader, protocol."""
     machine.commands = Commands(
         machine,
-        options.letters(),
+        options.letters(),  # of [OPT:…]
         options.single_axis_homing,
         options.override_control,
     )
@@ -149,7 +149,7 @@ def _make_talk(machine: Controller, options: Options, link: "Link") -> None:
         options.rx_bytes,
         options.line_length,
         machine.realtime.post,
-        options.reads,
+        options.reads,  # which bytes are real-time ones: see lines.READS
         _MISCOUNTED,
     )
     machine.protocol = Protocol(machine, link, options.echo)

@@ -102,7 +102,7 @@ class PioEngine:
             rp2350 = "RP2350" in sys.implementation._machine
             if rp2350:
                 self._pin_control, self._invert_shift = 0x40028004, 12
-                most_motors = _MOST_2350 - more_lanes
+                most_motors = _MOST_2350 - more_lanes  # the 6 of an RP2040 leave one for it
                 if max(step + direction) > _LAST_PIN:
                     raise ValueError("STEP, DIR: only pins 0 to 31 make pulses")
         if len(step) > most_motors:

@@ -43,7 +43,8 @@ def refill(state: ptr32, next_segment: object, on_power: object, on_rest: object
     power = int(read_progress(state)) if state[RUNNING] else KEEP_POWER
     if power != KEEP_POWER:  # else it is the same as before
         on_power(power)
-    # Else the clock interrupts again, LEAD before the end of a long segment: in time.
+    # While the clock has further words of a long segment, nothing is due: it interrupts again,
+    # the last time LEAD before the segment's end.
     if state[RUNNING] == 0 or state[WORDS_TO_END] <= 0:
         # First what had no space in the hardware: it must not wait while segments are made.
         if state[MADE] != state[FED]:

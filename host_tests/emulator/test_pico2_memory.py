@@ -84,4 +84,5 @@ def test_eight_motors_jobs_and_the_page_fit_together(uf2: Path, tmp_path: Path) 
     board.until_idle()
     ends = [_PER_MM * (29 % n) // 10 for n in _TENTHS]  # steps; the job's last line has k = 29
     assert odometer.read() == [*ends, *ends[:2]]
-    assert "Job EIGHT.NC: done" in board.ask("$U")  # the page has received it, too
+    # $U repeats the network's last messages: the page was sent it, too.
+    assert "Job EIGHT.NC: done" in board.ask("$U")

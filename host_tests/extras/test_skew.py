@@ -134,7 +134,8 @@ def test_inverse_is_exact_for_any_numbers(numbers: "list[int]", skew: "tuple[flo
 
     Numbers 0 to 2 are axis steps, and 3 to 5 the motor steps at homing.
     """
-    kinematics = SkewKinematics(axes=3, moves=[1, 2, 4], alone=0)  # moves: X, Y and Z
+    # Masks: the axes that each motor moves; the motors with a switch of their own.
+    kinematics = SkewKinematics(axes=3, moves=[1, 2, 4], alone=0)
     kinematics.set_factors([mm / 1000 for mm in skew])
     for axis in range(3):
         kinematics.note_homed(array("i", numbers[3:]), axis)

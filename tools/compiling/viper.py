@@ -40,8 +40,8 @@ class Module:
         self.name = name
         self.tree = ast.parse(text)
         self.functions = {f.name: f for f in vipers(self.tree)}
-        self.numbers = constants(self.tree, names={})
-        # By the names here: where each imported name is defined, a function or anything else.
+        self.numbers = constants(self.tree, names={})  # computed from no imported ones
+        # An imported name here: the module that defines it, and its name there.
         self.imported = {here: (module, there) for here, module, there in imported(self.tree)}
 
     def means(self, name: str) -> Key | None:

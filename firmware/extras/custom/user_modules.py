@@ -52,7 +52,7 @@ def install(cnc: "Cnc") -> None:
     outputs, inputs = _found["outputs"], _found["inputs"]
     if outputs or inputs:
         port.add_pins(tuple(outputs.values()), tuple(inputs.values()))
-        port.rest(0)  # a reset switches all outputs off
+        port.rest(0)  # the levels after a reset: all these outputs off
     api = MachineApi(cnc.machine, outputs, inputs)
     runner = Runner(cnc, api, _found["modules"])
     custom = Custom(cnc, runner, Events(cnc, runner))
@@ -159,11 +159,12 @@ class Custom:
     def _call_for_word(
         self, what: str, letters: str, sync: "bool | None", function: "Function"
     ) -> "Function":
-        """Return what the interpreter calls for a word: it runs the handler, now or, with sync
-        False, when the blocks planned before it have been executed.
+        """Return the function that the interpreter calls for a word, with the numbers of
+        `letters`, None for one that is not on the line. It calls the handler with those that are
+        on it, by letter.
 
-        It gets the numbers of `letters`, None for one that is not on the line. The handler gets
-        those that are on it, by letter. what: its name in messages.
+        sync: False: when the blocks planned before it have been executed; else at once, which with
+        True is at rest: the interpreter has waited. what: the handler's name in messages.
         """
         names = [letter.upper() for letter in letters]
 

@@ -133,14 +133,14 @@ def limit_entries(table: ptr32, ring: ptr32, flow: ptr32, row: int, present: int
     that of the block before, because both its corners are known now.
 
     row: the newest block so far; JUNCTION_SQR is its corner with the block before. present: row of
-    the block that the plan has begun, or -1. The block before can change unless the plan has
-    begun it: then it is present, or this block is present or the ring's first.
+    the block that the plan has begun, or -1. The block before cannot change any more once the
+    plan has begun it, or has ended it: this block is then the one begun, or the ring's first.
     """
     rows = flow[ROWS]
     size = flow[ROW_SIZE]
     before = row - 1 if row else rows - 1
-    not_begun = row != flow[TAIL] and row != present
-    if not_begun and before != present:
+    before_is_over = row == flow[TAIL] or row == present
+    if not before_is_over and before != present:
         before_previous = before - 1 if before else rows - 1
         limit_rate(table, ring, before * size, row * size, before_previous * size)
         set_max_entry(table, ring, before * size, before_previous * size)

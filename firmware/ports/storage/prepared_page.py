@@ -57,9 +57,10 @@ def _nothing() -> None:
 class PreparedPages:
     """The pages. All calls only while no motor moves; find() and erase() take time.
 
-    _flash: the chip's block device. _block: number of the block there, _NOT_FOUND if it was not
-    found; _next_page: number of the next page to write. _is_foreign: the file system does not keep
-    the file as one block. _data: a page's bytes.
+    _flash: the chip's block device; _store: see connect(). _block: number of the block there,
+    _NOT_FOUND if it was not found; _next_page: number of the next page to write, _PAGES_OF_BLOCK
+    if none is free. _is_foreign: the file system does not keep the file as one block. _data: a
+    page's bytes.
     """
 
     def __init__(self) -> None:

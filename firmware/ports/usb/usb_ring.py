@@ -104,7 +104,7 @@ def find(
         trial = bytearray(len(_TRIALS[0]))
         read_ring(state, trial, len(trial))  # if this is the ring, the first trial is removed
         push(_TRIALS[1])
-        if _find(_MEMORY, index, _TRIALS[1], len(_TRIALS[1])) == index:
+        if _find(_MEMORY, index, _TRIALS[1], len(_TRIALS[1])) == index:  # its next bytes are these
             ring = state[RING_ADDRESS]
     received += drain()
     text = bytes(received).replace(_TRIALS[0], b"").replace(_TRIALS[1], b"")
