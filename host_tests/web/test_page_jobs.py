@@ -28,6 +28,51 @@ def test_job_with_hold_and_override_ends_at_its_end_point(person):
     person.rests_at(12.5, 5, -3)
 
 
+def test_job_does_not_start_after_stop(person):
+    """STOP comes while the page still gives the program to the server."""
+    person.loads("G21 G90\nG0 X10\n")
+    person.waits("!$('run').disabled")
+    person.page.evaluate("() => { share = () => new Promise((end) => { shared = end; }); }")
+    person.click("#run")
+    person.waits("globalThis.shared")
+    person.click("#stop")
+    person.knows_all()
+    person.page.evaluate("shared()")
+    person.reads("#notice-trouble", "no answer: a reset")
+    person.pauses(0.5)
+    assert "G0 X10" not in person.machine.lines() and person.page.evaluate("job") is None
+
+
+def test_ended_job_is_reset_though_a_line_is_refused_meanwhile(person):
+    """The answer comes after End job: it must not become a pause, with the machine in Hold."""
+    person.loads("G21 G90\nG1 X5 F600\nT2 M6\nG1 X9\n")
+    person.page.evaluate("""() => {
+        const answered = Job.prototype.answered;
+        Job.prototype.answered = function (line, answer) {
+            if (answer !== "ok") this.end();
+            answered.call(this, line, answer);
+        };
+    }""")
+    person.click("#run")
+    person.reads("#job-words", "it was ended")
+    person.knows_all()
+    assert b"\x18" in person.machine.sent and "G1 X9" not in person.machine.lines()
+
+
+def test_job_ends_when_page_does_not_drive_any_more(person):
+    """Another one may move the machine meanwhile, so the rest must not follow by itself."""
+    person.loads(10 * FAR.replace("F600", "F3000"))
+    person.click("#run")
+    person.sees("Run")
+    change = "(drives) => { grbl.link.drives = drives; grbl.link.tell('driver'); }"
+    person.page.evaluate(change, False)
+    person.reads("#job-words", "This page does not drive the machine")
+    sent = person.machine.lines().count("G21 G90")
+    person.page.evaluate(change, True)
+    person.waits("grbl.settled && grbl.state === 'Idle'")
+    assert person.machine.lines().count("G21 G90") == sent < 10
+
+
 def test_modes_are_updated_while_job_runs(person):
     """The page queries $G during a job and shows the modes of the lines executed."""
     person.loads("G21 G91\nM3 S500\nG1 X40 F600\n")

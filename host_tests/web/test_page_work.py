@@ -154,6 +154,17 @@ def test_macro_ends_at_refused_line(person, tmp_path):
     assert json.loads(Path(saved.value.path()).read_text()) == macros
 
 
+def test_macro_ends_where_ok_and_welcome_come_together(person):
+    """The machine is reset by somebody else just after its answer: no line may follow."""
+    person.page.evaluate("macros = [{ name: 'up', lines: 'G91\\nG0 Z1' }]; renderMacros()")
+    person.machine.hears = False
+    person.click("#macros button")
+    person.waits("grbl.linesUnderWay")
+    person.machine.say(b"ok\r\n\r\nGrbl 1.1h ['$' for help]\r\n")
+    person.reads("#notice-trouble", "no answer: a reset")
+    assert person.machine.lines()[-1] != "G0 Z1"
+
+
 def test_file_without_macros_changes_nothing(person, tmp_path):
     """A JSON file of another form is refused with its name."""
     file = tmp_path / "no.json"

@@ -156,6 +156,32 @@ def test_probe_without_contact_says_what_to_do(prober):
     assert not any(line.startswith("G10") for line in prober.machine.lines())
 
 
+def test_modes_are_restored_after_unlocking_from_failed_probing(prober):
+    """Probing is relative and in mm. An alarm ends it in G91, until the machine is unlocked."""
+    prober.types("G20 G90")
+    prober.waits("grbl.modes.includes('G20')")
+    choose(prober, "Plate")
+    prober.page.fill("#probe-far", "2")  # mm: no contact within them
+    prober.page.fill("#probe-feed", "400")
+    prober.click("#probe-run")
+    prober.reads("#probe-says", "ALARM:5")
+    prober.page.evaluate("() => { grbl.modes = []; }")  # until $G is asked again
+    prober.click("#unlock")
+    prober.waits("['G20', 'G90'].every((mode) => grbl.modes.includes(mode))")
+
+
+def test_probing_ends_at_reset_before_its_motion(prober):
+    """STOP comes while the page asks for the offsets. Nothing is sent after the welcome."""
+    choose(prober, "Plate")
+    prober.page.evaluate("""() => grbl.on("sent", ({ text }) => {
+        if (text === "$G" && acting) setTimeout(() => $("stop").click());
+    })""")
+    prober.click("#probe-run")
+    prober.reads("#probe-says", "no answer: a reset")
+    prober.knows_all()
+    assert not any(re.search("G91|G38", line) for line in prober.machine.lines())
+
+
 def test_triggered_probe_moves_nothing(prober):
     """A probe that is closed at the start cannot find anything, so no probing (G38) is sent."""
     prober.types("G0 Z-5")  # mm: into the work at -4, so the probe is closed
@@ -190,6 +216,16 @@ def test_later_tool_gets_difference_to_first(prober):
     prober.click("#probe-run")
     prober.reads("#probe-says", "Done")
     prober.waits("Math.abs(Number(grbl.offsets.get('TLO')) - 2.5) < 0.01")
+
+
+def test_first_tool_is_forgotten_with_the_position_and_on_another_day(prober):
+    """What was measured is a place of the machine. It survives a reload, but no new tab."""
+    prober.page.evaluate("probeSet.reference = -4; keepProbe()")
+    prober.page.evaluate("grbl.tell('alarm', 5)")  # no contact: the position is known
+    assert prober.page.evaluate("[probeSet.reference, readProbe().reference]") == [-4, -4]
+    assert prober.page.evaluate("sessionStorage.clear(); readProbe().reference") is None
+    prober.page.evaluate("grbl.tell('alarm', 3)")  # reset during motion
+    assert prober.page.evaluate("probeSet.reference") is None
 
 
 def surface(x: float, y: float) -> float:

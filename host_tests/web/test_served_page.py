@@ -370,6 +370,30 @@ def test_page_reloaded_in_tool_change_pauses_again(visit: Visit) -> None:
     person.waits("grbl.state === 'Idle' && String(grbl.machine) === '-6,-1,-1'")
 
 
+def test_machine_moved_before_reload_in_tool_change_returns_to_its_place(visit: Visit) -> None:
+    """The page that takes the job up knows place and modes of the pause from the page before."""
+    person = make_idle(visit())
+    person.homes()
+    person.click("#zero-all")
+    person.rests_at(0, 0, 0)
+    person.loads("G21 G91 F1200 M3 S700\nG1 X-3\nT4 M6\nG1 X-2\n", "tools.nc")
+    person.click("#run")
+    person.waits("!document.getElementById('tool-change').hidden")
+    pause = person.page.evaluate("toolPause")
+    person.types("G90 G0 X0")
+    person.waits("grbl.modes.includes('G90')")
+    person.page.on("dialog", lambda dialog: dialog.accept())
+    person.page.reload()
+    person.reads("#job-words", "the browser that sent it has gone")
+    person.waits("document.getElementById('tool-change').hidden && grbl.drives")
+    person.click("#go-on")
+    person.waits("!document.getElementById('tool-change').hidden")
+    assert person.page.evaluate("toolPause") == pause
+    assert person.page.evaluate("toolChangeLines().join()").endswith(
+        "G0 X-3 Y0,M3 S700,G4 P4,F1200 S700,G1 G17 G21 G91"
+    )
+
+
 ZIGZAG = "G21 G90 F6000\n" + "".join(f"G1 X{-9 * (k % 2)} Y{-k}\n" for k in range(1, 17))
 
 

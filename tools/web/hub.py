@@ -273,7 +273,7 @@ class Hub:
         self._framing.forget()
         self._machine.forget()
         self._send_state()
-        self._stop_job("the connection was lost")
+        self._stop_job("the connection is lost")
 
     def _send_state(self) -> None:
         """Send the current state to each browser."""

@@ -14,7 +14,7 @@ let ownWords = kept.ownWords ?? null; // the file's text, if it was edited by ha
 function situation() {
   if (looking) return [looking];
   if (promptTrouble) return [promptTrouble, "look"];
-  if (!SerialLink.possible()) return [t`This browser cannot open a USB port. Chrome and Edge on a computer can. A board file can be made and saved here all the same.`];
+  if (!SerialLink.possible()) return [t`This browser cannot open a USB port. Chrome, Edge and Opera on a computer can (Web Serial).` + t` A board file can be made and saved here all the same.`];
   if (!grbl.up) return [t`No board is connected. Plug it in and press Connect by USB. If no board is in the list, put the firmware on it first: see below.`, "connect"];
   if (grbl.lent && onBoard) return boardWords(onBoard);
   if (grbl.state) return [t`A machine is at work: ${grbl.version ? t`version ${grbl.version}` : t`a Grbl`}. Its pins can be changed here, or go on with step 6.` + otherVersion, "read", "guide"];

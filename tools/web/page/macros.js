@@ -39,10 +39,7 @@ async function runMacro({ name, lines }) {
   const ready = lines.replace(PLACEHOLDER, (_, label) => values[label]).split("\n").map(bare).filter(Boolean);
   const wrong = ready.find(unsafe);
   if (wrong) return trouble(`${name}: ${wrong}\n${unsafe(wrong)}`);
-  for (const line of ready) {
-    const answer = await grbl.send(line);
-    if (answer !== "ok") return trouble(t`${name} ends at: ${line}\n${explained(answer, line)}`);
-  }
+  await sendLines(ready).catch((error) => trouble(t`${name} ends at: ${error.message}`));
 }
 
 function renderMacros() {

@@ -41,11 +41,8 @@ $("outline").onclick = () => alone(async () => {
     isLaser ? t`The laser is on at S${laser}, 1 % of full power.` : up === null ? t`Z stays at ${mm(z)}. The spindle stays as it is.` : t`First Z goes up to ${mm(up)}. The spindle stays as it is.`];
   if (!await sure(t`Outline`, words, isLaser ? t`Laser on, go round` : t`Go round`)) return;
   const feed = jogFeed() * (grbl.inches ? MM_PER_INCH : 1);
-  for (const line of outlineLines(box, feed, { up, laser })) {
-    const answer = await grbl.send(line);
-    if (answer !== "ok") {
-      if (isLaser && is("Idle")) grbl.send("M5");
-      return trouble(t`The outline ends here. ${line}\n${explained(answer)}`);
-    }
-  }
+  await sendLines(outlineLines(box, feed, { up, laser })).catch((error) => {
+    if (isLaser && is("Idle")) grbl.send("M5");
+    trouble(t`${t`Outline`} ends at: ${error.message}`);
+  });
 });

@@ -1,6 +1,7 @@
 // Probing: a plate, an edge, a corner, a hole, tool lengths; each shows its lines before it sends them.
 
 const PROBE_AS = "ugrbl-probe", SLOW_PART = 0.25, BACK_MM = 1;
+const LOSE_PLACE = [1, 3, 6, 7, 8, 9]; // alarms after which the machine does not know where it is
 const PROBE_FIELDS = {
   plate: [t`Plate`, "mm", 1.5], tool: [t`Tool`, "mm", 3], far: [t`At most`, "mm", 20], feed: [t`Feed`, "mm/min", 100], up: [t`Then up`, "mm", 5], columns: [t`Columns`, "", 4], rows: [t`Rows`, "", 3],
 };
@@ -23,7 +24,8 @@ const probeSet = { kind: "plate", side: "left", ...readProbe() };
 
 function readProbe() {
   try {
-    return JSON.parse(localStorage.getItem(PROBE_AS)) || {};
+    const { reference, ...kept } = JSON.parse(localStorage.getItem(PROBE_AS)) || {};
+    return { ...kept, ...JSON.parse(sessionStorage.getItem(PROBE_AS)) };
   } catch (error) {
     console.info("no probe settings:", error.message);
     return {};
@@ -32,6 +34,7 @@ function readProbe() {
 function keepProbe() {
   try {
     localStorage.setItem(PROBE_AS, JSON.stringify(probeSet));
+    sessionStorage.setItem(PROBE_AS, JSON.stringify({ reference: probeSet.reference })); // another day has another first tool
   } catch (error) {
     console.info("not kept:", error.message);
   }
@@ -85,28 +88,39 @@ async function readAtRest() {
   await sendLines(["G4 P0"]);
   grbl.now(STATUS);
   await sendLines(["G4 P0"]); // its answer comes after the report
-  await grbl.send("$G", true);
-  await grbl.send("$#", true);
+  await sendLines(["$G", "$#"], true);
 }
+
+/** Modes that were in force before a probing that ended in an alarm: restored once it is unlocked. */
+let owedModes = "";
+grbl.on("welcome", () => { owedModes = ""; }); // a reset has set them
+grbl.on("status", () => {
+  if (!owedModes || !is("Idle") || !asked() || acting) return;
+  grbl.send(owedModes);
+  owedModes = "";
+});
 
 /** Run a probing in mm and relative coordinates, then restore G20 and G90. Throws an Error for the user. */
 async function probeRun(act) {
   await readAtRest();
   if (grbl.pins.includes("P")) throw new Error(t`The probe touches already. Lift the tool, or turn $6 round.`);
-  const before = ["G20", "G90"].filter((mode) => grbl.modes.includes(mode));
+  const before = ["G20", "G90"].filter((mode) => grbl.modes.includes(mode)).join(" ");
   try {
     await sendLines(["G21 G91"]);
     await act();
     await readAtRest(); // the tool still moves up
   } finally {
-    if (!is("Alarm") && grbl.drives && before.length) await grbl.send(before.join(" "));
+    if (is("Alarm")) owedModes = before;
+    else if (before && grbl.session === actSession) await grbl.send(before);
   }
 }
 
-async function sendLines(lines) {
+/** Send lines in alone(), each after the answer to the one before. Throws an Error for the user. */
+async function sendLines(lines, quiet = false) {
   for (const shown of lines) {
+    sameSession(); // an ok and a welcome may come in one piece
     const line = shown.replace(/([XYZ])\(.*?\)/, (_, letter) => word(letter, touched()[AXES.indexOf(letter)]));
-    const answer = await grbl.send(line);
+    const answer = await grbl.send(line, quiet);
     if (answer !== "ok") throw new Error(`${line}: ${explained(answer, line)}`);
     if (grbl.alarm || is("Alarm")) throw new Error(`${line}: ${alarmWords(grbl.alarm || 5)}`);
   }
@@ -133,12 +147,18 @@ async function probeLength() {
   await sendLines([`G0 ${word("Z", probeValue("up"))}`]);
 }
 
+function anotherFirstTool() {
+  delete probeSet.reference;
+  keepProbe();
+  renderProbe();
+}
+
 function renderProbe() {
   const kind = PROBE_KINDS[probeSet.kind];
   $("probe-kinds").replaceChildren(...Object.entries(PROBE_KINDS).map(([name, { title }]) => make("button", { "aria-pressed": String(name === probeSet.kind), onclick: () => { probeSet.kind = name; keepProbe(); renderProbe(); } }, title)));
   $("probe-words").textContent = kind.words;
   $("probe-fields").replaceChildren(...kind.fields.map(probeField),
-    ...(probeSet.kind === "length" && probeSet.reference !== undefined ? [make("button", { onclick: () => { delete probeSet.reference; keepProbe(); renderProbe(); } }, t`Another first tool`)] : []));
+    ...(probeSet.kind === "length" && probeSet.reference !== undefined ? [make("button", { onclick: anotherFirstTool }, t`Another first tool`)] : []));
   $("probe-picture").replaceChildren(...kind.picture.map(([className, x, y, width, height]) => svg("rect", { class: className, x, y, width, height, rx: 2 })), svg("path", { class: "way", d: kind.way }));
   $("height").hidden = probeSet.kind !== "height";
   for (const id of ["height-plot", "height-use", "height-save", "height-drop"]) $(id).hidden = !heightMap;
@@ -175,4 +195,5 @@ $("probe-run").onclick = () => alone(async () => {
   }
   renderProbe();
 });
+grbl.on("alarm", (number) => { if (LOSE_PLACE.includes(number)) anotherFirstTool(); });
 grbl.on("status", () => setText("probe-state", grbl.pins.includes("P") ? t`The probe touches.` : t`The probe is open.`));

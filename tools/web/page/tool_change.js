@@ -1,7 +1,7 @@
 // Tool changes: the page pauses for an M6 that the machine refuses, as Grbl does, until the user confirms.
 
 const SAME_PLACE_MM = 0.005;
-let toolPause = null; // { modes, place, offsets } of the machine when the page paused
+let toolPause = null; // { modes, place, offsets } of the machine when a page paused; {} until they are known
 
 /** An offset in mm, by its name in $#: of all axes, or of Z for TLO. */
 function offsetMm(name) {
@@ -61,11 +61,15 @@ async function beginToolChange() {
   const pause = toolPause = {};
   await grbl.send("$G", true);
   await grbl.send("$#", true);
-  const modes = [...grbl.modes], offsets = new Map(grbl.offsets);
+  const modes = [...grbl.modes], offsets = Object.fromEntries(grbl.offsets);
   if (modes.some((text) => /^M[3478]$/.test(text))) await grbl.send("M5 M9");
   if (toolPause !== pause || job?.state !== "tool") return;
-  toolPause = { modes, offsets };
-  toolPause.place = placeIn(modeLike(/^G5[4-9]$/));
+  toolPause = job.pause || { modes, offsets }; // noted by a page that drove before: the machine may have been moved since
+  if (!job.pause) {
+    toolPause.place = placeIn(modeLike(/^G5[4-9]$/));
+    job.pause = toolPause;
+    job.share();
+  }
   const [, tool] = wordsOf(program.lines[job.line - 1]).find(([letter]) => letter === "T") || [];
   $("tool-title").textContent = tool === undefined ? t`Tool change` : t`Tool change: tool ${tool}`;
   $("tool-words").replaceChildren(t`The program waits in line ${job.line}: `, make("span", { className: "mono" }, program.lines[job.line - 1]));
@@ -78,8 +82,8 @@ function renderToolChange() {
   const safe = safeZ();
   $("tool-up").hidden = !(safe > grbl.workMm()[2] + SAME_PLACE_MM);
   setText("tool-up", t`Raise Z to ${millimetres(safe)}`);
-  const changed = ["TLO", ...SYSTEMS].filter((name) => grbl.offsets.get(name) !== toolPause.offsets.get(name));
-  setText("tool-measured", changed.map((name) => t`${name === "TLO" ? t`Tool length` : name}: ${toolPause.offsets.get(name)} is ${grbl.offsets.get(name)} now.`).join(" "));
+  const changed = ["TLO", ...SYSTEMS].filter((name) => grbl.offsets.get(name) !== toolPause.offsets[name]);
+  setText("tool-measured", changed.map((name) => t`${name === "TLO" ? t`Tool length` : name}: ${toolPause.offsets[name]} is ${grbl.offsets.get(name)} now.`).join(" "));
   setText("tool-sends", toolChangeLines().join(", "));
 }
 
