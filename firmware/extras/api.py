@@ -13,8 +13,6 @@ from control.modes import MOTION
 from language import block_layout as b
 from micropython import const
 
-from extras.custom_codes import CustomCodes
-
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -24,6 +22,7 @@ if TYPE_CHECKING:
     from interfaces import Job
     from talk.controller import Controller
 
+    from extras.custom_codes import CustomCodes
     from extras.cycles import Step
 
 _END_OF_CYCLES = const(100)  # canned cycles are G81 to G99, after NO_MOTION (G80)
@@ -52,12 +51,12 @@ class Cnc:
     """The machine, as an extra sees it. Units are Grbl's: mm, mm/min, rpm. entries: each returns
     why a program cannot be entered at a line in its middle now, or "". cycles: each has an
     attribute `kept`, what holds for its next line; job_entry.py restores it. job: the JobRun of a
-    board with JOBS, also while no job runs; else None."""
+    board with JOBS, also while no job runs; else None. _words: see _codes()."""
 
     def __init__(self, machine: "Controller") -> None:
         self._machine = machine
         self._hooks = machine.state.hooks
-        self._words = CustomCodes(machine)
+        self._words: "CustomCodes | None" = None
         self.entries: "list[Callable[[], str]]" = []
         self.cycles: "list[Any]" = []
         self.job: "Job | None" = None
@@ -142,7 +141,7 @@ class Cnc:
         the line, and is None then. call runs when motion has ended, or with sync=False at once,
         also during motion. In check mode it is not called.
         """
-        self._words.add("M", number, call, letters, sync)
+        self._codes().add("M", number, call, letters, sync)
 
     def add_g(
         self,
@@ -153,7 +152,7 @@ class Cnc:
     ) -> None:
         """Add a G word. number: 81, 81.1, or with an L that Grbl does not use, "10 L1"; the other
         arguments are those of add_m()."""
-        self._words.add("G", number, call, letters, sync)
+        self._codes().add("G", number, call, letters, sync)
 
     def add_cycle(
         self, number: int, plan: "Callable[..., Iterable[Step]]", letters: str = "R"
@@ -186,11 +185,19 @@ class Cnc:
 
     def is_taken(self, letter: str, number: "float | str") -> bool:
         """Return whether Grbl or an extra already has that G or M word. number: as for add_g()."""
-        return self._words.is_taken(letter, number)
+        return self._codes().is_taken(letter, number)
 
     def has_word(self, line: bytearray, length: int) -> bool:
         """Return whether a line has a word added here. line[length] is 0."""
-        return self._words.find(line, length) is not None
+        return self._words is not None and self._words.find(line, length) is not None
+
+    def _codes(self) -> "CustomCodes":
+        """Return the words added here. Imported only for an extra with words: it takes 2 kB."""
+        if self._words is None:
+            from extras.custom_codes import CustomCodes
+
+            self._words = CustomCodes(self._machine)
+        return self._words
 
     def remove_commands(self, letters: bytes) -> None:
         """Remove the $ commands with these letters."""

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     Key = tuple[str, int, int]
 
 _G10 = const(100)  # in tenths
-_L_OF_GRBL = (2, 20)  # numbers of L that Grbl has with G10
 
 
 def key_of(letter: str, number: "float | str") -> "Key":
@@ -82,8 +81,8 @@ class CustomCodes:
             return True  # a canned cycle of an extra
         if not is_grbls(letter, tenths):
             return False
-        # G10 is Grbl's, but not with every L.
-        is_free_g10 = tenths == _G10 and l_tenths and l_tenths // 10 not in _L_OF_GRBL
+        # G10 is Grbl's, but only with L2 and L20.
+        is_free_g10 = tenths == _G10 and l_tenths and l_tenths // 10 not in (2, 20)
         return not is_free_g10
 
     def add(

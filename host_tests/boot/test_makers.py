@@ -15,7 +15,7 @@ BUILDING = {"boot.parts", "boot.parts_esp", "boot.wiring"}
 APART = {"_Pusher", "ModalState", "Position", "SdBlocks", "WebSocket"}
 # Called by extras while they are installed, and by options.py.
 INSTALLING = {
-    *("add_pins", "of_board", "beside", "add_cycle", "attach"),
+    *("add_pins", "of_board", "beside", "add_cycle", "_codes", "attach"),
     *("register", "leave_out", "_add_build_info", "__getattr__"),
 }
 
