@@ -98,11 +98,12 @@ class Client:
     last_bytes_ms: time of its last bytes; last_line_ms: of its last line or, without the key, of
     its connection. received: bytes received and not yet passed to the machine, `length` of them,
     of which the first `ready` may be passed; is_too_long: the line after those did not fit. _out:
-    queued output, _out_length bytes. _held: bytes of lwIP's memory that count as this client's.
-    _counts_unread: the connection (a websocket) counts by itself the bytes sent and not yet read.
+    queued output, _out_length bytes of at most out_bytes. _held: bytes of lwIP's memory that count
+    as this client's. _counts_unread: the connection (a websocket) counts by itself the bytes sent
+    and not yet read.
     """
 
-    def __init__(self, memory: Memory) -> None:
+    def __init__(self, memory: Memory, out_bytes: int = _OUT_BYTES) -> None:
         self._memory = memory
         self.conn: "Connection | None" = None
         self.address = ""
@@ -115,7 +116,7 @@ class Client:
         self.length = 0
         self.ready = 0
         self.is_too_long = False
-        self._out = bytearray(_OUT_BYTES)
+        self._out = bytearray(out_bytes)
         self._out_length = 0
         self._held = 0
         self._counts_unread = False

@@ -76,7 +76,7 @@ class NetLink:
         self._read_cable = cable.read_into
         self._write_to_cable = cable.write
         self._memory = memory or Memory()
-        self._cable_client = Client(self._memory)
+        self._cable_client = Client(self._memory, 0)  # its output is not queued
         self._cable_client.trusted = True
         self._clients = [Client(self._memory) for _ in range(_MOST_CLIENTS)]
         self._all = [self._cable_client] + self._clients
