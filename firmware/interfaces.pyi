@@ -559,6 +559,12 @@ class BoardLink(Link, Protocol):
     def close(self) -> None:
         """Hand the link over to MicroPython's prompt."""
 
+class Radio(Protocol):
+    """The board's radio, for ports/net/net_link.py: ports/net/radio.py."""
+
+    def poll_radio(self, at_rest: bool) -> None:
+        """Try to rejoin a lost network. at_rest: the machine is idle."""
+
 class Access(Protocol):
     """Decides which clients may do more than read: ports/net/access.py."""
 

@@ -29,7 +29,7 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from interfaces import BoardLink, Connection, Incoming
+    from interfaces import BoardLink, Connection, Incoming, Radio
 
 _MOST_CLIENTS = const(3)  # clients on the network at once
 _PIECE = const(64)  # bytes of one read whose bytes are checked
@@ -69,8 +69,8 @@ class NetLink:
         self.realtime = b"\x18!~"  # Ctrl-X, feed hold, cycle start
         self.stops = b"\x18!\x84\x85"  # Ctrl-X, feed hold, door, jog cancel
         self.access = Access()
-        # radio: called once a second, with whether the machine is idle; status: returns its state.
-        self.radio: "Callable[[bool], None] | None" = None
+        # radio: polled once a second; status: returns its state.
+        self.radio: "Radio | None" = None
         self.status: "Callable[[], str]" = lambda: "no network is set up"
         self._at_rest: "Callable[[], bool]" = lambda: True
         self._read_cable = cable.read_into
@@ -267,7 +267,7 @@ class NetLink:
             self._accept(conn, address, now_ms)
         if self.radio and time.ticks_diff(now_ms, self._radio_ms) >= _RADIO_MS:
             self._radio_ms = now_ms
-            self.radio(self._at_rest())
+            self.radio.poll_radio(self._at_rest())
         if not self._is_plain:
             self._restore_plain()
 

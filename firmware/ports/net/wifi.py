@@ -46,6 +46,6 @@ def beside(cable: "BoardLink", with_page: bool = False) -> "BoardLink":
         why = "the Wi-Fi radio failed: %s" % fault
         link.status = lambda: why
         return link
-    link.radio = radio.poll_radio
+    link.radio = radio
     link.status = radio.status
     return link
