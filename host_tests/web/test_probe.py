@@ -170,6 +170,22 @@ def test_modes_are_restored_after_unlocking_from_failed_probing(prober):
     prober.waits("['G20', 'G90'].every((mode) => grbl.modes.includes(mode))")
 
 
+def test_modes_are_not_restored_after_reset_or_another_driver(prober):
+    """A reset has set them, or another page. Both come while the probing moves or is unlocked."""
+    prober.types("G20 G90")
+    prober.waits("grbl.modes.includes('G20')")
+    choose(prober, "Plate")
+    prober.page.evaluate("""() => grbl.on("sent", ({ text }) => {
+        if (text.startsWith("G38.2")) setTimeout(() => grbl.link.write(Uint8Array.of(RESET)), 100);
+    })""")
+    prober.click("#probe-run")
+    prober.reads("#probe-says", "ALARM:3")
+    prober.waits("!acting")
+    assert prober.page.evaluate("owedModes") == ""
+    prober.page.evaluate("owedModes = 'G20 G90'; grbl.link.tell('driver')")
+    assert prober.page.evaluate("owedModes") == ""
+
+
 def test_probing_ends_at_reset_before_its_motion(prober):
     """STOP comes while the page asks for the offsets. Nothing is sent after the welcome."""
     choose(prober, "Plate")

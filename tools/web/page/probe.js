@@ -93,7 +93,7 @@ async function readAtRest() {
 
 /** Modes that were in force before a probing that ended in an alarm: restored once it is unlocked. */
 let owedModes = "";
-grbl.on("welcome", () => { owedModes = ""; }); // a reset has set them
+for (const change of ["welcome", "driver", "lost"]) grbl.on(change, () => { owedModes = ""; }); // others set them since
 grbl.on("status", () => {
   if (!owedModes || !is("Idle") || !asked() || acting) return;
   grbl.send(owedModes);
@@ -110,8 +110,10 @@ async function probeRun(act) {
     await act();
     await readAtRest(); // the tool still moves up
   } finally {
-    if (is("Alarm")) owedModes = before;
-    else if (before && grbl.session === actSession) await grbl.send(before);
+    if (grbl.session === actSession) {
+      if (is("Alarm")) owedModes = before;
+      else if (before) await grbl.send(before);
+    }
   }
 }
 
