@@ -175,12 +175,16 @@ def test_modes_are_not_restored_after_reset_or_another_driver(prober):
     prober.types("G20 G90")
     prober.waits("grbl.modes.includes('G20')")
     choose(prober, "Plate")
-    prober.page.evaluate("""() => grbl.on("sent", ({ text }) => {
-        if (text.startsWith("G38.2")) setTimeout(() => grbl.link.write(Uint8Array.of(RESET)), 100);
-    })""")
+    prober.page.evaluate("""() => {
+        grbl.on("welcome", () => { globalThis.welcomed = true; });
+        grbl.on("sent", ({ text }) => {
+            if (text.startsWith("G38.2"))
+                setTimeout(() => grbl.link.write(Uint8Array.of(RESET)), 100);
+        });
+    }""")
     prober.click("#probe-run")
     prober.reads("#probe-says", "ALARM:3")
-    prober.waits("!acting")
+    prober.waits("globalThis.welcomed && !acting")
     assert prober.page.evaluate("owedModes") == ""
     prober.page.evaluate("owedModes = 'G20 G90'; grbl.link.tell('driver')")
     assert prober.page.evaluate("owedModes") == ""
