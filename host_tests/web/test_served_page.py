@@ -342,12 +342,18 @@ def test_browser_from_network_needs_token(visit: Visit) -> None:
 # Tool changes, times
 
 
-def test_page_reloaded_in_tool_change_pauses_again(visit: Visit) -> None:
-    """A page reloaded during a tool change offers the job again, and asks for the tool again."""
+def homed_at_zero(visit: Visit) -> Visitor:
+    """Return a visitor whose machine is homed, with its work zero there."""
     person = make_idle(visit())
     person.homes()
     person.click("#zero-all")
     person.rests_at(0, 0, 0)
+    return person
+
+
+def test_page_reloaded_in_tool_change_pauses_again(visit: Visit) -> None:
+    """A page reloaded during a tool change offers the job again, and asks for the tool again."""
+    person = homed_at_zero(visit)
     person.loads("G21 G91 F1200\nG1 X-3\nT4 M6 (drill 3 mm)\nG1 X-2\n", "tools.nc")
     person.reads("#job-words", "No problems. It takes")
     person.reads("#job-words", "Tool changes: 1.")
@@ -372,10 +378,7 @@ def test_page_reloaded_in_tool_change_pauses_again(visit: Visit) -> None:
 
 def test_machine_moved_before_reload_in_tool_change_returns_to_its_place(visit: Visit) -> None:
     """The page that takes the job up knows place and modes of the pause from the page before."""
-    person = make_idle(visit())
-    person.homes()
-    person.click("#zero-all")
-    person.rests_at(0, 0, 0)
+    person = homed_at_zero(visit)
     person.loads("G21 G91 F1200 M3 S700\nG1 X-3\nT4 M6\nG1 X-2\n", "tools.nc")
     person.click("#run")
     person.waits("!document.getElementById('tool-change').hidden")
