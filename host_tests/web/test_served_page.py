@@ -188,10 +188,7 @@ def test_travel_violation_is_shown_before_run(visit: Visit) -> None:
 
     They are no longer named once zero or the travel is changed so that the program fits.
     """
-    person = make_idle(visit())
-    person.homes()
-    person.click("#zero-all")
-    person.rests_at(0, 0, 0)
+    person = homed_at_zero(visit())
     person.loads("G21 G90\nG0 X-10\nX-20 Y30\n")
     # Zero is at -1 mm, so Y30 is +29 mm, beyond the end at 0.
     person.reads("#problems", "Line 3 ALARM:2 - Y would go to 29.000 mm in machine coordinates")
@@ -342,18 +339,28 @@ def test_browser_from_network_needs_token(visit: Visit) -> None:
 # Tool changes, times
 
 
-def homed_at_zero(visit: Visit) -> Visitor:
-    """Return a visitor whose machine is homed, with its work zero there."""
-    person = make_idle(visit())
+def homed_at_zero(person: Visitor) -> Visitor:
+    """Take control, home, and set zero there."""
+    make_idle(person)
     person.homes()
     person.click("#zero-all")
     person.rests_at(0, 0, 0)
     return person
 
 
+def reloads_and_goes_on(person: Visitor) -> None:
+    """Reload the page in a tool change, and go on with the job up to this change."""
+    person.page.on("dialog", lambda dialog: dialog.accept())
+    person.page.reload()
+    person.reads("#job-words", "the browser that sent it has gone")
+    person.waits("document.getElementById('tool-change').hidden && grbl.drives")
+    person.click("#go-on")
+    person.waits("!document.getElementById('tool-change').hidden")
+
+
 def test_page_reloaded_in_tool_change_pauses_again(visit: Visit) -> None:
     """A page reloaded during a tool change offers the job again, and asks for the tool again."""
-    person = homed_at_zero(visit)
+    person = homed_at_zero(visit())
     person.loads("G21 G91 F1200\nG1 X-3\nT4 M6 (drill 3 mm)\nG1 X-2\n", "tools.nc")
     person.reads("#job-words", "No problems. It takes")
     person.reads("#job-words", "Tool changes: 1.")
@@ -363,12 +370,7 @@ def test_page_reloaded_in_tool_change_pauses_again(visit: Visit) -> None:
     person.reads("#tool-sends", "G1 G17 G21 G91")  # the modes that are restored after the change
     person.pauses(0.5)
     compare_screenshot(person, "page_tool_change.png")
-    person.page.on("dialog", lambda dialog: dialog.accept())
-    person.page.reload()
-    person.reads("#job-words", "the browser that sent it has gone")
-    person.waits("document.getElementById('tool-change').hidden && grbl.drives")
-    person.click("#go-on")
-    person.waits("!document.getElementById('tool-change').hidden")
+    reloads_and_goes_on(person)
     # -1 mm, less 3 mm; the move after the change is not made yet.
     assert person.page.evaluate("grbl.machine[0]") == -4
     person.click("#tool-go")
@@ -378,19 +380,14 @@ def test_page_reloaded_in_tool_change_pauses_again(visit: Visit) -> None:
 
 def test_machine_moved_before_reload_in_tool_change_returns_to_its_place(visit: Visit) -> None:
     """The page that takes the job up knows place and modes of the pause from the page before."""
-    person = homed_at_zero(visit)
+    person = homed_at_zero(visit())
     person.loads("G21 G91 F1200 M3 S700\nG1 X-3\nT4 M6\nG1 X-2\n", "tools.nc")
     person.click("#run")
     person.waits("!document.getElementById('tool-change').hidden")
     pause = person.page.evaluate("toolPause")
     person.types("G90 G0 X0")
     person.waits("grbl.modes.includes('G90')")
-    person.page.on("dialog", lambda dialog: dialog.accept())
-    person.page.reload()
-    person.reads("#job-words", "the browser that sent it has gone")
-    person.waits("document.getElementById('tool-change').hidden && grbl.drives")
-    person.click("#go-on")
-    person.waits("!document.getElementById('tool-change').hidden")
+    reloads_and_goes_on(person)
     assert person.page.evaluate("toolPause") == pause
     assert person.page.evaluate("toolChangeLines().join()").endswith(
         "G0 X-3 Y0,M3 S700,G4 P4,F1200 S700,G1 G17 G21 G91"
@@ -408,10 +405,7 @@ def seconds(text: str) -> int:
 
 def with_zigzag(person: Visitor) -> Visitor:
     """Take control, home, set zero there, and load the program."""
-    make_idle(person)
-    person.homes()
-    person.click("#zero-all")
-    person.rests_at(0, 0, 0)
+    homed_at_zero(person)
     person.loads(ZIGZAG)
     person.reads("#job-words", "It takes")
     return person
